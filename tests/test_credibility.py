@@ -286,6 +286,28 @@ def test_a_wrong_criterion_is_refused_at_its_place(fmu: Path, tmp_path: Path, cr
     assert any(f.line == 8 for f in refused.value.faults), place
 
 
+@pytest.mark.parametrize("recorded", ["played.force", "plant.force"])
+def test_what_is_not_recorded_meets_no_criterion(fmu: Path, tmp_path: Path, recorded: str) -> None:
+    scenario, out = mission(tmp_path, fmu, [0.5], GOAL), tmp_path / "out"
+    told("run", scenario, "--set", f"record={{signals: [{recorded}]}}", "--out", out, code=5)
+    manifest = json.loads((out / "manifest.json").read_text(encoding="utf-8"))
+    assert "rate of velocity" in manifest["validity"]["plant"]["missing"]
+    assert [(c["value"], c["met"]) for c in manifest["criteria"]] == [(None, False)]
+
+
+@pytest.mark.parametrize(
+    ("key", "changes"),
+    [("region", {"points": []}), ("region", {"points": [[0.0]]}), ("bands", {"widths": {"velocity": [1.0]}})],
+)
+def test_a_record_that_does_not_fit_itself_is_ignored(fmu: Path, tmp_path: Path, key: str, changes: Any) -> None:
+    record = content(fmu)
+    record[key] |= changes
+    replace_member(fmu, RECORD, json.dumps(record).encode())
+    assert read_credibility(fmu).record is None
+    manifest = cosim.run(mission(tmp_path, fmu, [0.5]), tmp_path / "out", **QUICK).manifest
+    assert "problem" in manifest["validity"]["plant"]
+
+
 def test_sweep_simulate_replay_and_compare_say_it_too(fmu: Path, bench: Path, tmp_path: Path) -> None:
     scenario = mission(tmp_path, fmu, [0.5], GOAL)
     (tmp_path / "sweep.yaml").write_text(
@@ -393,7 +415,7 @@ def test_without_cryptography_a_signature_names_what_to_install(fmu: Path, tmp_p
 def test_the_identity_is_the_hash_of_all_other_files(fmu: Path) -> None:
     before = content(fmu, IDENTITY)["sha256"]
     replace_member(fmu, IDENTITY, b"{}")
-    assert read_credibility(fmu).problem == ""
+    assert read_credibility(fmu).problem
     record = read_credibility(fmu).record
     assert record is not None
     attach(fmu, record)

@@ -35,6 +35,7 @@ from cosim.verbs.cli import command_line
 from tests.compiled import library, pack
 from tests.conftest import ROOT
 from tests.full_disk import full_disk
+from tests.known.kit import Model
 from tests.lag import DESCRIPTION as LAG
 from tests.tank import MODEL
 
@@ -208,6 +209,27 @@ def test_each_run_is_as_with_a_library_of_its_own(tmp_path: Path, before: str, r
     levels = signal_of(read_table(study.folder / TABLE)[0], "lag.y")
     rise = 1.0 - 0.5 ** np.arange(5)  # of Euler's rule with half the time constant
     assert levels.tolist() == (np.arange(1.0, 10.0)[:, np.newaxis] * rise).tolist()
+
+
+@pytest.mark.parametrize("in_process", [True, False])
+def test_a_library_that_keeps_a_parameter_of_an_earlier_run_is_loaded_for_each_run(
+    tmp_path: Path, in_process: bool
+) -> None:
+    model = Model(
+        "parameter p = 1, y = 0",
+        functions="static double kept; static int has;\n",
+        step="if (!has) { kept = p; has = 1; } y = kept;",
+        name="keeps",
+    )
+    (tmp_path / "keeps.yaml").write_text(
+        f"name: keeps\nduration: 1\nstep: 0.5\ncomponents: {{a: {{fmu: {model.fmu()}}}}}\n"
+    )
+    (tmp_path / "sweep.yaml").write_text(
+        "scenario: keeps.yaml\nsignals: [a.y]\nvary: {a.p: {values: [1, 2, 3, 4, 5]}}\n"
+    )
+    study = swept(tmp_path / "sweep.yaml", "out", workers=1, in_process=in_process)
+    levels = signal_of(read_table(study.folder / TABLE)[0], "a.y")
+    assert levels[:, -1].tolist() == [1.0, 2.0, 3.0, 4.0, 5.0]
 
 
 def test_a_sweep_of_which_no_run_ends_is_a_failure(tanks: Callable[..., Path]) -> None:

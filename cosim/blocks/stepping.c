@@ -326,7 +326,6 @@ static void make_step(Slot *s)
         const double spent = seconds() - begin;
         if (!s->timed++ || spent < s->least) s->least = spent;
     }
-    s->stepped = true;
 }
 
 /* One slot, from where it was left: what is judged has been called, and is not called again. `ahead`: up to its step. */
@@ -372,6 +371,7 @@ static int go_on(Plan *p, Slot *s, int64_t k, bool ahead)
         if (!s->stepped) {
             *p->doing = s->doing + ADVANCE;
             make_step(s);
+            s->stepped = true;
         }
         if (s->version == 3 && s->terminate && s->status < 2) {
             if (!s->early) s->reached = s->begin + s->length;
@@ -427,7 +427,9 @@ static void take_steps(Pool *pool)
         pthread_mutex_unlock(&pool->lock);
         make_step(s);
         pthread_mutex_lock(&pool->lock);
-        if (++pool->made == pool->slots) pthread_cond_signal(&pool->ends);
+        s->stepped = true;
+        pool->made++;
+        pthread_cond_signal(&pool->ends);
     }
 }
 
@@ -446,12 +448,14 @@ static void *work(void *argument)
 static Pool *make_pool(int64_t threads)
 {
     Pool *pool = calloc(1, sizeof(Pool));
+    const int faults[] = {SIGSEGV, SIGBUS, SIGFPE, SIGILL, SIGTRAP, SIGABRT};
     sigset_t all, before;
     if (!pool) return NULL;
     pthread_mutex_init(&pool->lock, NULL);
     pthread_cond_init(&pool->begins, NULL);
     pthread_cond_init(&pool->ends, NULL);
-    sigfillset(&all); /* signals are for Python's thread */
+    sigfillset(&all); /* signals are for Python's thread, but those of a fault for the thread that has it */
+    for (size_t n = 0; n < sizeof faults / sizeof *faults; n++) sigdelset(&all, faults[n]);
     pthread_sigmask(SIG_SETMASK, &all, &before);
     while (pool->threads < threads && pool->threads < MOST_TOGETHER
            && pthread_create(&pool->thread[pool->threads], NULL, work, pool) == 0)
@@ -484,11 +488,12 @@ static void step_together(Plan *p, Slot *first, int64_t k)
     pool->slots = count;
     pthread_cond_broadcast(&pool->begins);
     take_steps(pool);
-    for (int n = 0; n < count; n++) /* what takes long is blamed */
-        while (!pool->slot[n]->stepped) {
-            *p->doing = pool->slot[n]->doing + ADVANCE;
-            pthread_cond_wait(&pool->ends, &pool->lock);
-        }
+    while (pool->made < pool->slots) { /* what takes long is blamed */
+        int n = 0;
+        while (pool->slot[n]->stepped) n++;
+        *p->doing = pool->slot[n]->doing + ADVANCE;
+        pthread_cond_wait(&pool->ends, &pool->lock);
+    }
     pthread_mutex_unlock(&pool->lock);
 }
 #endif

@@ -12,10 +12,11 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Annotated
+from itertools import pairwise
+from typing import Annotated, Self
 
 import numpy as np
-from pydantic import BaseModel, Field
+from pydantic import BaseModel, Field, model_validator
 
 from cosim.core.arrays import Array, Flags, Rows
 from cosim.core.text import join_names, percent
@@ -119,6 +120,15 @@ class Bands(BaseModel):
     held_out: bool = False
     free_run: bool = False
     reason: str = ""
+
+    @model_validator(mode="after")
+    def _fits(self) -> Self:
+        """Raise ValueError for widths that do not fit the horizons."""
+        if any(a >= b for a, b in pairwise(self.horizons)):
+            raise ValueError("the horizons of bands increase")
+        if any(len(widths) != len(self.horizons) for widths in self.widths.values()):
+            raise ValueError("a band has one width for each horizon")
+        return self
 
     def at(self, name: str, ages: Array) -> Array:
         """Return the half-width of an output at times since the start [s], NaN where unknown."""

@@ -222,11 +222,12 @@ def _read(fmu: Path, _time: int, _size: int) -> Found:
             problem = f"its record of credibility has schema {version}, and this version of cosim reads {SCHEMA}"
             return Found(None, f"{problem}; it is ignored")
         record = Credibility.model_validate(content)
-        is_changed = _identity(fmu).get("sha256") not in (None, content_hash(fmu))
+        is_changed = _identity(fmu).get("sha256") != content_hash(fmu)
     except DAMAGES as error:
         return Found(None, f"its record of credibility is damaged and ignored: {str(error).splitlines()[0]}")
     if is_changed:
-        return Found(record, "it was changed after its record of credibility was written: its SHA-256 differs")
+        problem = "it was changed after its record of credibility was written: its SHA-256 differs or is missing"
+        return Found(record, problem)
     return Found(record)
 
 
@@ -276,11 +277,15 @@ def check_signature(fmu: Path, key: Path) -> None:
     Raises:
         InputError: The key cannot be used, or the FMU is not signed by it or was changed later.
     """
-    public, identity = _key(key, "public"), _identity(fmu)
+    public = _key(key, "public")
+    try:
+        identity, content = _identity(fmu), content_hash(fmu)
+    except DAMAGES as error:
+        raise InputError.at(fmu, f"is damaged: {error}; get it from its author again") from None
     if not isinstance(identity.get("signature"), str):
         raise InputError.at(fmu, "is not signed; get the signed FMU from its author")
     try:
-        public.verify(base64.b64decode(identity["signature"]), bytes.fromhex(content_hash(fmu)))
+        public.verify(base64.b64decode(identity["signature"]), bytes.fromhex(content))
     except (ValueError, optional("cryptography.exceptions", str(key)).InvalidSignature):
         raise InputError.at(fmu, f"is not as the owner of {key.name} signed it; get it from its author again") from None
 

@@ -9,10 +9,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass
-from typing import Any, Literal, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple, Self
 
 import numpy as np
-from pydantic import BaseModel
+from pydantic import BaseModel, Field, model_validator
 
 from cosim.core.arrays import Array, Flags, Rows
 from cosim.credibility.bands import Finite, conformal_quantile
@@ -40,7 +40,7 @@ class Coordinate(BaseModel):
     unit: str
     low: Finite
     high: Finite
-    scale: Finite
+    scale: Annotated[Finite, Field(gt=0.0)]
 
     @property
     def name(self) -> str:
@@ -69,6 +69,13 @@ class Region(BaseModel):
     threshold: Finite = 0.0
     points: list[list[Finite]] = []
     reason: str = ""
+
+    @model_validator(mode="after")
+    def _fits(self) -> Self:
+        """Raise ValueError for points that do not fit the coordinates."""
+        if not self.reason and (not self.points or {len(point) for point in self.points} != {len(self.coordinates)}):
+            raise ValueError("each point of the region has a value of every coordinate")
+        return self
 
     @property
     def constant(self) -> list[str]:
@@ -224,13 +231,17 @@ def distances(region: Region, stretch: Stretch) -> Distances:
     rows = slice(None, None, max(1, -(-size // MOST_ROWS), round(region.step / usual) if usual > 0.0 else 1))
     known = [j for j, c in enumerate(region.coordinates) if c.signal in stretch.signals]
     missing = [c.name for c in region.coordinates if c.signal not in stretch.signals]
+    if not known:
+        time = stretch.time[rows]
+        return Distances(time, np.full(time.size, np.nan), np.zeros(time.size, np.intp), missing)
     coordinates = [region.coordinates[j] for j in known]
     values = _table(stretch, [(c.signal, c.kind) for c in coordinates], region.step)[rows]
     low, scale = (np.array([getattr(c, key) for c in coordinates]) for key in ("low", "scale"))
     points = np.array(region.points)[:, known]
     good = np.isfinite(values).all(axis=1)
     ratio, farthest = np.full(len(values), np.nan), np.zeros(len(values), np.intp)
-    if good.any() and known:
+    farthest[~good] = np.array(known)[np.argmin(np.isfinite(values[~good]), axis=1)]
+    if good.any():
         asked = (values[good] - low) / scale
         apart, nearest = cKDTree(points).query(asked, p=np.inf)
         ratio[good] = apart / max(region.threshold, 1e-300)

@@ -55,7 +55,9 @@ def validity_of(fmu: Path, time: Array, signals: Mapping[str, Array]) -> dict[st
     if record.region.reason or not time.size:
         return entry | {"reason": record.region.reason}
     away = distances(record.region, Stretch(time, signals))
-    inside, end = away.inside, np.append(away.time[1:], time[-1])
+    if len(away.missing) == len(record.region.coordinates):
+        return entry | {"reason": "none of its signals is recorded", "missing": [*away.missing]}
+    inside, end = away.ratio <= 1.0, np.append(away.time[1:], time[-1])  # a value that is not finite is outside
     lasts = end - away.time
     entry["share"] = float(lasts[inside].sum() / lasts.sum()) if lasts.any() else float(inside.mean())
     edges = np.flatnonzero(np.diff(np.concatenate([[True], inside, [True]]).astype(int)))

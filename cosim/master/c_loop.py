@@ -85,12 +85,12 @@ class CompiledSteps:
             slots.append(slot)
         for slot in slots[len(made) :]:
             slot.step = None
+        if any(system.courses):
+            self._add_courses(slots)
         if self.in_python and not any(slot.version > 0 for slot in slots):
             raise NotCompiled(next(iter(self.in_python.values())))
         if self.in_python and system.beside:
             raise NotCompiled(f"{system.beside[0]} is no number that a double holds, and Python steps a component")
-        if any(system.courses):
-            self._add_courses(slots)
         self._library = library()  # compiled only if used
         self._keeping: list[Any] = [slots]  # memory that C uses
         for slot, stage in zip(slots, stages, strict=True):

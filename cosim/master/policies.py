@@ -34,7 +34,7 @@ import numpy as np
 from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.stepping import NotCompiled, cores
 from cosim.core.arrays import Array
-from cosim.core.errors import SimulationError
+from cosim.core.errors import CosimError, SimulationError
 from cosim.isolation.rows import GET
 from cosim.master.c_loop import CompiledSteps
 from cosim.master.checkpoint import NOT_RESTORED
@@ -118,14 +118,19 @@ class Together:
             return
         others = self._others
         tasks = [self._pool.submit(self._actives[k].step, t, self._actives[k].length or h) for k in others]
+        failed: dict[int, BaseException | None] = {}
         try:
             for k, active in enumerate(self._actives):
                 if k not in others:
                     active.step(t, active.length or h)
+        except CosimError as error:
+            failed[k] = error
         finally:
             wait(tasks)
-        for task in tasks:
-            task.result()
+        failed |= {k: task.exception() for k, task in zip(others, tasks, strict=True)}
+        for k in sorted(failed):
+            if (first := failed[k]) is not None:
+                raise first
 
     def close(self) -> None:
         """End the threads."""

@@ -61,9 +61,11 @@ def evaluate(scenario: Scenario, results: Results, validity: Mapping[str, Validi
             }
         )
     for _, _, goal in scenario.valid_goals:
-        share = validity.get(goal.of, {}).get("share") or 0.0
-        limits = {"value": 100.0 * (1.0 - share), "max": 100.0 * (1.0 - goal.min), "unit": "%"}
-        outcomes.append({"kind": OUTSIDE, "of": goal.of, **limits, "met": share >= goal.min})
+        entry = validity.get(goal.of, {})
+        share = None if entry.get("missing") else entry.get("share")  # an unrecorded coordinate may be outside
+        outside = None if share is None else 100.0 * (1.0 - share)
+        limits = {"value": outside, "max": 100.0 * (1.0 - goal.min), "unit": "%"}
+        outcomes.append({"kind": OUTSIDE, "of": goal.of, **limits, "met": share is not None and share >= goal.min})
     return outcomes
 
 

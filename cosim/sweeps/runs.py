@@ -20,7 +20,7 @@ import numpy as np
 from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.shared_code import SharedCode
 from cosim.core.arrays import Array
-from cosim.core.errors import CosimError, Crashed, InputError
+from cosim.core.errors import CosimError, Crashed, InputError, TimedOut
 from cosim.core.scratch import process_folder
 from cosim.credibility.validity import validities
 from cosim.files.archive import unpack
@@ -127,7 +127,7 @@ def make_run_apart(job: Job, request: RunRequest) -> RunResult:
         _of_thread.runs += 1
     except CosimError as error:
         runs, _of_thread.runs = _of_thread.runs, 0
-        if own_copies or runs < UNKEPT or not isinstance(error, Crashed):
+        if own_copies or runs < UNKEPT or not isinstance(error, Crashed | TimedOut):
             return _failed(job, request, error)
         result = make_run_apart(job, replace(request, own_copies=True))  # The kept libraries may be the cause.
         _of_thread.own_copies = result.status == "ok"
@@ -164,8 +164,8 @@ class SweptSystem:
     """A system that a process simulates again and again.
 
     Loading takes longer than many a run, so libraries stay loaded from the second run on. Each run has new instances,
-    but a library may keep state of earlier runs. The second run is therefore repeated after the third: if a number
-    differs, or a run with kept libraries fails, each run loads its own copies.
+    but a library may keep state of earlier runs. The third run is therefore repeated with copies of its own: if a
+    number differs, or a run with kept libraries fails, each run loads its own copies.
 
     Attributes:
         keeps: Whether libraries stay loaded.
@@ -179,7 +179,7 @@ class SweptSystem:
         single = any(getattr(b.instance.about, "canBeInstantiatedOnlyOncePerProcess", False) for b in blocks)
         self.keeps = not single and not self.system.apart and all(b.instance.version > 1 for b in blocks)
         self._uses = 0
-        self._first: tuple[RunRequest, Results] | None = None
+        self._is_checked = False
         self._kept: dict[str, FmuBlock] = {}
         weakref.finalize(self, _unload, self._kept).atexit = False
 
@@ -202,36 +202,23 @@ class SweptSystem:
             return self.simulate(request, limits)
         if self._uses == UNKEPT and limits.total is not None:  # of a run, also of the one that is repeated
             self.keeps &= 4.0 * (time.perf_counter() - begin) < limits.total
-        if not self._kept:
+        if not has_kept or self._is_checked:
             return results
-        if not has_kept:
-            self._first = request, results
-        elif self._first is not None:
-            (earlier, rows), self._first = self._first, None
-            self.keeps = self._repeats(earlier, rows, limits)
-            if not self.keeps:
-                _unload(self._kept)
-                return self.simulate(request, limits)
-        return results
+        self._is_checked, self.keeps = True, False
+        again = self._simulate(request, limits, own_copies=True)
+        self.keeps = again.values.tobytes() == results.values.tobytes() and again.exact == results.exact
+        if not self.keeps:
+            _unload(self._kept)
+        return again
 
-    def _repeats(self, request: RunRequest, rows: Results, limits: Limits) -> bool:
-        """Return whether a run gives the same rows again with the kept libraries."""
-        try:
-            again = self._simulate(request, limits)
-        except (StoppedRun, CosimError) as error:
-            if _is_stop(error):
-                raise
-            return False
-        return again.values.tobytes() == rows.values.tobytes() and again.exact == rows.exact
-
-    def _simulate(self, request: RunRequest, limits: Limits) -> Results:
+    def _simulate(self, request: RunRequest, limits: Limits, *, own_copies: bool = False) -> Results:
         system, scenario = self.system, self.scenario
         stages = []
         for stage in system.stages:
             component = stage.component
             if isinstance(component, FmuBlock):
                 starts = {**component.start_values, **request.starts.get(component.name, {})}
-                if component.name in self._kept:
+                if component.name in self._kept and not own_copies:
                     component = self._kept[component.name]
                     component.start_values = starts
                     component.log.restore(NO_MESSAGES)
@@ -239,7 +226,7 @@ class SweptSystem:
                     # Instances in Python share code only; other libraries may keep state of an earlier run.
                     place = _unpack_once(component.path) if component.nominal_step else None
                     component = component.with_start_values(starts, place)
-                    if self.keeps and self._uses > UNKEPT:
+                    if self.keeps and self._uses > UNKEPT and not own_copies:
                         component.instance.keeps_library = True
                         self._kept[component.name] = component
             stages.append(replace(stage, component=component))

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 DATABASE, TABLE, RECORD = "runs.sqlite", "sweep.parquet", "sweep.json"
 GROUP = 4096  # runs per write
 STORED_EVERY = 0.2  # [s]
-FORMAT = 2  # of the database; one of another format is not continued
+FORMAT = 3  # of the database; one of another format is not continued
 
 
 class Database:

@@ -83,7 +83,7 @@ def check(
         load: Load FMUs and make one step, and execute named Python files, in a worker process. False executes nothing.
         compile: Compile and execute the sources of FMUs that have no library for this machine.
         columns: Column of the logs → variable, or "time".
-        signed_by: File of an Ed25519 public key (PEM) whose owner must have signed every FMU.
+        signed_by: File of an Ed25519 public key (PEM) whose owner must have signed every FMU that is named.
 
     Returns:
         Notes and warnings, one line each.
@@ -117,7 +117,9 @@ def check(
             checking = Checking(model, dict(names), worker)
             for path in paths:
                 try:
-                    if signed_by is not None and kind_by_form(path) == FMU:
+                    if signed_by is not None:
+                        if kind_by_form(path) != FMU:
+                            raise InputError.at(path, "is no FMU; --signed-by checks the FMUs that are named")
                         check_signature(path, Path(signed_by))
                     lines += [with_prefix(f"{path}: ", line) for line in _check_isolated(path, checking)]
                 except InputError as error:
@@ -176,7 +178,7 @@ def check_command(*, json: bool = False, **given: Any) -> None:
         model (MODEL): Model of the logs: base, a model.yaml, or FILE.py:CLASS.
         load: Load the FMUs and make one step in a separate process.
         columns (--column COLUMN=VARIABLE): Name of a log's column in the model, or time.
-        signed_by (KEY): File of an Ed25519 public key whose owner must have signed every FMU.
+        signed_by (KEY): File of an Ed25519 public key whose owner must have signed every FMU that is named.
 
     Example: cosim check scenario.yaml build/*.fmu
     """
