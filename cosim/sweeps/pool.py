@@ -7,7 +7,7 @@ import json
 import logging
 import shutil
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, as_completed, wait
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from itertools import islice
@@ -28,11 +28,13 @@ ANSWER = 5  # time limit of a dask scheduler's answer [s]
 RUNS_PER_THREAD = 4  # requested at once from a dask cluster
 REQUESTED = 2  # runs for each process here: the one under way, and the next
 
-MakeRuns = Callable[[Iterable[RunRequest]], Iterator[RunResult]]
+MOMENT = 0.5  # without a finished run [s], after which the runs so far are stored
+
+MakeRuns = Callable[[Iterable[RunRequest]], Iterator[RunResult | None]]  # None: no run has finished for a moment
 
 
-def make_runs_here(job: Job, workers: int | None, requests: Iterable[RunRequest]) -> Iterator[RunResult]:
-    """Yield the results of runs in processes of this machine, as they are finished.
+def make_runs_here(job: Job, workers: int | None, requests: Iterable[RunRequest]) -> Iterator[RunResult | None]:
+    """Yield the results of runs in processes of this machine, as they are finished, and None after a moment without.
 
     Args:
         workers: Number of processes; None means one per core.
@@ -44,13 +46,17 @@ def make_runs_here(job: Job, workers: int | None, requests: Iterable[RunRequest]
         idle.put(process)
     threads = ThreadPoolExecutor(count, initializer=lambda: work_in(idle.get()))
     try:
-        pending = set[Future[RunResult]]()
-        for request in requests:
-            pending.add(threads.submit(make_run_apart, job, request))
-            if len(pending) == REQUESTED * count:
+        left, pending = iter(requests), set[Future[RunResult]]()
+        while True:
+            further = islice(left, REQUESTED * count - len(pending))
+            pending |= {threads.submit(make_run_apart, job, request) for request in further}
+            if not pending:
+                break
+            done, pending = wait(pending, MOMENT, FIRST_COMPLETED)
+            if not done:
+                yield None
                 done, pending = wait(pending, return_when=FIRST_COMPLETED)
-                yield from (future.result() for future in done)
-        yield from (future.result() for future in as_completed(pending))
+            yield from (future.result() for future in done)
         kill = False
     finally:
         threads.shutdown(wait=False, cancel_futures=True)

@@ -162,6 +162,9 @@ def sweep(
             try:
                 requests = (study.request_run(run) for run in missing)
                 for result in make_runs(requests):
+                    if result is None:
+                        databases[0].store()
+                        continue
                     with delay_stops():
                         databases[0].add(result)
                     made += 1
