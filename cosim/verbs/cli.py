@@ -311,6 +311,8 @@ def entry() -> None:
     except (MemoryError, Terminated) as error:
         text = str(error) or "not enough memory; use a shorter duration, longer steps, or record fewer signals"
         code = say_error(CosimError(text), SimulationError.exit_code)
+        if isinstance(error, Terminated):
+            LAST.clear()  # no page is served after the end that was asked for
     except OSError as error:  # an unwritable folder, or a full disk
         text = "the disk is full" if is_full(error) else error.strerror or str(error)
         text = f"{error.filename}: {text}" if error.filename else text
