@@ -44,11 +44,11 @@ def test_six_tasks_run_without_a_stop(tmp_path: Path) -> None:
     def run(*lines: str) -> None:
         for line in lines:
             if line.startswith("cosim view"):  # which serves its page until a user ends it
-                view = subprocess.Popen(f"exec {line}", stderr=subprocess.PIPE, text=True, **settings)
-                assert view.stderr is not None
-                assert any("http://" in text for text in view.stderr)
-                view.terminate()
-                assert view.wait(60) in {0, 4}
+                with subprocess.Popen(f"exec {line}", stderr=subprocess.PIPE, text=True, **settings) as view:
+                    assert view.stderr is not None
+                    assert any("http://" in text for text in view.stderr)
+                    view.terminate()
+                    assert view.wait(60) in {0, 4}
             else:
                 subprocess.run(line, check=True, timeout=400, **settings)
 
