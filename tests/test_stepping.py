@@ -143,6 +143,27 @@ def test_text_and_integers_of_64_bits_are_the_same(tmp_path: Path, algorithm: st
     assert exact["sink.io"][late:] == [n + 1 for n in exact["source.n"]][: 11 - late]
 
 
+def test_text_is_the_same_beside_inputs_with_courses(tmp_path: Path) -> None:
+    source = Model(
+        "discrete String mode = start, y = 0", step='y = t + h; if (t > 0.45) strcpy(mode, "late");', name="source"
+    )
+    sink = Model(
+        "input u = 0, input String s = x, y = 0, String so = q",
+        step="y += u * h; strcpy(so, s);",
+        depends={"y": (), "so": ("s",)},
+        name="sink",
+    )
+    components = {m.name: {"fmu": str(m.fmu(3))} for m in (source, sink)}
+    wires = ["source.y → sink.u", "source.mode → sink.s"]
+    file = scenario(tmp_path, components, wires, algorithm="gauss-seidel", interpolate="linear", order=[*components])
+    usual, plain = (
+        simulate(build_system(file), file.scenario.steps, file.scenario.step, in_c=in_c) for in_c in (True, False)
+    )
+    assert usual.values.tobytes() == plain.values.tobytes()
+    assert usual.exact == plain.exact
+    assert plain.exact["sink.so"][-1] == "late"
+
+
 @pytest.mark.parametrize(("call", "at"), [("SetReal", 9), ("DoStep", 5), ("GetReal", 9)])
 @pytest.mark.parametrize("deed", ["warning", "discard", "end", "error", "fatal", "nan"])
 def test_what_an_fmu_does_is_told_in_the_same_words_with_the_same_rows(

@@ -263,7 +263,7 @@ class FmuBlock(FmuVariables):
 
     @property
     def interpolates_inputs(self) -> bool:
-        """Return whether the FMU declares that it takes derivatives of its inputs."""
+        """Return whether the FMU declares `canInterpolateInputs` (FMI 2.0, co-simulation)."""
         instance = self.instance
         return bool(instance.version == 2 and instance.way == "co-simulation" and instance.about.canInterpolateInputs)
 

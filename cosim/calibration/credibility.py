@@ -10,15 +10,14 @@ from cosim.calibration.fit_record import Record
 from cosim.calibration.likelihood import Likelihood
 from cosim.core.arrays import Flags
 from cosim.core.errors import SimulationError
-from cosim.credibility.bands import Coverage, Track, band_horizons, bands_of, coverage_of, track_of
+from cosim.credibility.bands import LEAST_ROWS, Coverage, Track, band_horizons, bands_of, coverage_of, track_of
 from cosim.credibility.record import Correlations, Credibility, ParameterRecord
 from cosim.estimation.fit import inverse
 from cosim.residuals.drive import Drive
-from cosim.residuals.evidence import log_records, region_of_logs, rows_inside
+from cosim.residuals.log_region import log_records, region_of_logs, rows_inside
 from cosim.residuals.residual_statistics import FREE_RUN
 from cosim.residuals.windows import SKIPPED, Replay, free_run, horizons, self_started
 
-LEAST_ROWS = 4  # of the first interval of a band
 Values = Mapping[str, float]
 
 

@@ -148,7 +148,7 @@ class ComparedRuns:
 
     @property
     def equal(self) -> list[str]:
-        """Return the signals that are equal in all runs that have them."""
+        """Return the signals without a difference between runs."""
         differing = self.differing
         return [name for name in self.table if name not in differing]
 

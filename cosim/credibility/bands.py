@@ -26,6 +26,7 @@ LEVEL = 0.9  # of the bands
 FEWEST = 10  # replays of the longest horizon
 FACTOR = 2.0  # largest ratio of neighbouring horizons
 PARTS = 8  # blocks of a free run over a log
+LEAST_ROWS = 4  # of the first interval
 
 
 def conformal_quantile(blocks: Sequence[Array], level: float) -> float:
@@ -128,6 +129,8 @@ class Bands(BaseModel):
             raise ValueError("the horizons of bands increase")
         if any(len(widths) != len(self.horizons) for widths in self.widths.values()):
             raise ValueError("a band has one width for each horizon")
+        if any(all(w is None for w in widths) for widths in self.widths.values()):
+            raise ValueError("a band has a known width")
         return self
 
     def at(self, name: str, ages: Array) -> Array:

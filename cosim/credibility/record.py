@@ -7,7 +7,6 @@ import hashlib
 import json
 import zipfile
 from collections.abc import Mapping
-from datetime import UTC, datetime
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
@@ -41,9 +40,9 @@ CHUNK = 1 << 20  # [bytes]
 class LogRecord(BaseModel):
     """A measured log.
 
-    source: path of the file, as the study names it
-    sha256: of the file
-    time: when the file was written last
+    source: name of the file
+    sha256: SHA-256 of the file
+    time: date and time of the last change of the file
     duration: time from the first row to the last [s]
     step: usual time between rows [s]
     """
@@ -137,14 +136,6 @@ class Credibility(BaseModel):
 def _with_interval(p: ParameterRecord) -> str:
     interval = f" ({plain(p.ci95[0], 4)} … {plain(p.ci95[1], 4)})" if p.ci95 else ""
     return f"{plain(p.value, 4)} {p.unit}".rstrip() + interval
-
-
-def log_record(path: Path, rows: int, duration: float, step: float) -> LogRecord:
-    """Return the record of a log."""
-    written = datetime.fromtimestamp(int(path.stat().st_mtime), UTC).isoformat()
-    with path.open("rb") as stream:
-        sha = hashlib.file_digest(stream, "sha256").hexdigest()
-    return LogRecord(source=str(path), sha256=sha, time=written, rows=rows, duration=duration, step=step)
 
 
 # -- files of an FMU ---------------------------------------------------------------------------------------

@@ -27,7 +27,7 @@ class Parametric:
     """A frozen dataclass of parameters with checked bounds; one error names all faults."""
 
     def invalid_values(self) -> list[str]:
-        """Return one sentence for each parameter outside its bounds."""
+        """Return one sentence for each invalid parameter."""
         return [fault for p in parameters_of(self) if (fault := p.fault(getattr(self, p.name)))]
 
     def __post_init__(self) -> None:
@@ -60,7 +60,7 @@ class Effect(Parametric):
     resolved: ClassVar[tuple[str, ...]] = ()
 
     def invalid_values(self) -> list[str]:
-        """Return one sentence for each parameter outside its bounds, with the effect's name before the parameter's."""
+        """Return one sentence for each invalid parameter, named `effect.parameter`."""
         return [f"{self.name}.{fault}" for fault in super().invalid_values()]
 
     @property

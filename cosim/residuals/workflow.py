@@ -55,7 +55,7 @@ from cosim.logs.spikes import find_spikes
 from cosim.report.template import render
 from cosim.residuals.compare import Comparison, compare, sentence, steps_of, verdict
 from cosim.residuals.drive import MODULES, PLANT, Drive, DriveApart, as_columns, log_of_fmu, start_values
-from cosim.residuals.evidence import signals_along
+from cosim.residuals.log_region import signals_along
 from cosim.residuals.replay_signals import Replay, read_replay
 from cosim.residuals.report import TEMPLATE, context
 from cosim.residuals.residual_statistics import FREE_RUN

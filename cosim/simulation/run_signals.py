@@ -195,7 +195,7 @@ class Run(Signals):
 
     @property
     def validity(self) -> list[str]:
-        """Return a sentence on each FMU that knows the logs it rests on: for which time it is within them."""
+        """Return a sentence for each FMU with a record of credibility: the share of the time within its logs."""
         from cosim.credibility.validity import validity_sentence
 
         entries = self.manifest.get("validity") or {}

@@ -265,7 +265,7 @@ def _rivals_text(c: Claims) -> str:
 
 
 def _unexplained_text(c: Claims) -> str:
-    """Return where the error of the most probable hypothesis acts and what it follows, or how large it is."""
+    """Return a sentence on the remaining error: its equation and the signal that it follows, or its size."""
     over = c.decision.misfit.over_floor
     channel = max(over, key=lambda n: over[n], default="")
     if text := _misfit_text(c):

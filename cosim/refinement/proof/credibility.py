@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from cosim.core.arrays import Array, Flags
-from cosim.credibility.bands import Coverage, Track, band_horizons, bands_of, coverage_of, track_of
+from cosim.credibility.bands import LEAST_ROWS, Coverage, Track, band_horizons, bands_of, coverage_of, track_of
 from cosim.credibility.record import Correlations, Credibility, ParameterRecord
 from cosim.estimation.fit import Fit, inverse
 from cosim.estimation.problem import Problem
@@ -29,12 +29,11 @@ from cosim.refinement.proof.measure import (
 )
 from cosim.refinement.search.fits import Hypothesis, Search
 from cosim.residuals.drive import Drive, DriveApart
-from cosim.residuals.evidence import log_records, region_of_logs, rows_inside
+from cosim.residuals.log_region import log_records, region_of_logs, rows_inside
 from cosim.residuals.residual_statistics import FREE_RUN
 from cosim.residuals.windows import SKIPPED
 
 FIRST = 0.25  # of the horizon of a model, the first interval of a band
-LEAST_ROWS = 4  # of this interval
 
 
 def credibility_of(

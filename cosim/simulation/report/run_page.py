@@ -236,7 +236,7 @@ def _names(names: Sequence[str]) -> str:
 
 
 def trust_rows(run: Run) -> Iterator[Row]:
-    """Yield a row for each FMU that knows its logs: the time within them, and what leaves them first."""
+    """Yield a row for each FMU with a record of credibility: the share of the time within its logs."""
     for name, entry in run.part("validity").items():
         if text := validity_sentence(name, mapping(entry)):
             yield Row(name, text.partition(": ")[2])

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Sequence
+from datetime import UTC, datetime
 
 import numpy as np
 
 from cosim.core.arrays import Array, Flags
 from cosim.core.errors import SimulationError
-from cosim.credibility.record import LogRecord, log_record
+from cosim.credibility.record import LogRecord
 from cosim.credibility.region import Region, Stretch, distances, region_of
 from cosim.logs.log import Log
 from cosim.residuals.drive import Drive
@@ -22,7 +24,16 @@ ReplayedLog = tuple[Log, Replay]
 
 def log_records(logs: Sequence[Log]) -> list[LogRecord]:
     """Return the records of logs."""
-    return [log_record(log.path, log.rows, float(log.time[-1] - log.time[0]), log.step) for log in logs]
+    found = []
+    for log in logs:
+        written = datetime.fromtimestamp(int(log.path.stat().st_mtime), UTC).isoformat()
+        with log.path.open("rb") as stream:
+            sha = hashlib.file_digest(stream, "sha256").hexdigest()
+        duration = float(log.time[-1] - log.time[0])
+        found.append(
+            LogRecord(source=log.path.name, sha256=sha, time=written, rows=log.rows, duration=duration, step=log.step)
+        )
+    return found
 
 
 def region_of_logs(drive: Drive, replayed: Sequence[ReplayedLog]) -> Region:
