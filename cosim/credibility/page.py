@@ -15,11 +15,12 @@ from cosim.credibility.record import Credibility, read_credibility
 from cosim.files.files import write_text
 from cosim.report.charts import Charts, Plot
 from cosim.report.html_tables import Badge, Row
-from cosim.report.panels import NO_UNIT_TEXT, Panel, Trace
+from cosim.report.panels import Panel, Trace, axis_unit
 from cosim.report.template import render
 
 TEMPLATE = Path(__file__).with_name("templates") / "credibility.html.j2"
 MOST_PAIRS = 6  # pairs of coordinates with a chart
+DIGITS = 6  # of estimates and intervals
 
 
 def write_page(fmu: Path) -> Path:
@@ -51,8 +52,8 @@ def write_page(fmu: Path) -> Path:
         "parameters": [
             {
                 "name": n,
-                "value": amount(p.value, p.unit, 5),
-                "interval": " … ".join(amount(e, p.unit, 4) for e in p.ci95 or ()),
+                "value": amount(p.value, p.unit, DIGITS),
+                "interval": " … ".join(amount(e, p.unit, DIGITS) for e in p.ci95 or ()),
             }
             for n, p in record.parameters.items()
         ],
@@ -73,7 +74,7 @@ def _band_plot(record: Credibility, name: str, charts: Charts) -> Plot:
     trace = Trace(
         f"{100 * bands.level:g} % of the errors are smaller", np.append(widths, widths[-1:]), "true", held=True, x=ends
     )
-    panel = Panel(f"Error of {name}", bands.units.get(name) or NO_UNIT_TEXT, [trace])
+    panel = Panel(f"Error of {name}", axis_unit(bands.units.get(name, "")), [trace])
     largest = 1.08 * float(np.nanmax(widths))
     return charts.alone(panel, (0.0, float(ends[-1])), ("time since the start", "s"), reach=(0.0, largest))
 
@@ -88,6 +89,6 @@ def _pair_plots(record: Credibility, charts: Charts) -> list[Plot]:
         order = np.argsort(points[:, a], kind="stable")
         along, up = (c.low + c.scale * points[order, k] for c, k in ((x, a), (y, b)))
         trace = Trace("points of the logs", up, "s0 dots", x=along)
-        panel = Panel(f"{y.name} over {x.name}", y.unit or NO_UNIT_TEXT, [trace])
-        plots.append(charts.points(panel, (x.low, x.high), (x.name, x.unit), {}))
+        panel = Panel(f"{y.name} over {x.name}", axis_unit(y.unit), [trace])
+        plots.append(charts.points(panel, (x.low, x.high), (x.name, axis_unit(x.unit)), {}))
     return plots
