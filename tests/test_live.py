@@ -71,7 +71,7 @@ def test_rows_are_read_while_they_appear_changes_act_and_wrong_requests_are_refu
         gain = next(v for v in ask(f"{page.url}variables") if v["name"] == "mill.gain")
         assert (gain["unit"], gain["bounds"], gain["start"], gain["input"]) == ("m", [0.0, 10.0], "1", False)
         raw = ask(f"{page.url}points", {"from": 0.0, "to": 0.6, "width": 1000, "curves": [[0, "mill.r_out"]]})
-        assert np.frombuffer(raw)[64:].tolist() == ran["mill.r_out"].tolist()
+        assert np.frombuffer(raw)[63:124].tolist() == ran["mill.r_out"].tolist()
         requests = [("set", {"mill.gain": 2}), ("pause", True), ("stop", True), ("pause", "yes"), ("set", [1])]
         for place, content in requests:
             ask(page.url + place, content, 400)

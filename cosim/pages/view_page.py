@@ -111,22 +111,17 @@ class Viewer:
         return Json({"runs": runs, "layouts": layouts, "notes": self._notes})
 
     def _points(self, wanted: Wanted) -> Response:
-        """Return for each curve: number of points, 1 for rows, 1 if times follow; then time, smallest, largest values.
-
-        Curves of the same run share the times of the first one.
-        """
+        """Return for each curve: number of points, 1 for rows, then time, smallest and largest values."""
         if not wanted.begin < wanted.end:
             raise _refused("a range of times")
         pictures: dict[int, Picture] = {}
 
         def points(run: ViewedRun, name: str) -> list[Array]:
-            if is_first := id(run) not in pictures:
+            if id(run) not in pictures:
                 pictures[id(run)] = run.rows.picture(wanted.begin, wanted.end, wanted.width)
             picture = pictures[id(run)]
-            low, high = (self._shown(run, name, values) for values in picture.points(name))
-            is_row = picture.starts is None
-            head = np.array([low.size, float(is_row), float(is_first)])
-            return [head, *([picture.time] if is_first else []), low, *([] if is_row else [high])]
+            ends = (self._shown(run, name, values) for values in picture.points(name))
+            return [np.array([picture.time.size, float(picture.starts is None)]), picture.time, *ends]
 
         return _arrays(points, self._curves(wanted.curves))
 
@@ -146,7 +141,7 @@ class Viewer:
         return _arrays(plane, [(run, x, y) for (run, x), (_, y) in zip(across, curves, strict=True)])
 
     def _spectrum(self, wanted: Wanted) -> Response:
-        """Return, for each curve, the number of points, 1, log10 of the frequencies [Hz], and the power density [dB].
+        """Return, for each curve: number of points, 1, then log10 of the frequencies [Hz], and twice the level [dB].
 
         The power spectral density is computed by Welch's method from the rows between two times, interpolated at the
         median row spacing. A curve with few rows has no points.
@@ -163,8 +158,8 @@ class Viewer:
             segment = min(equal.size, max(256, equal.size // 8), MAX_SEGMENT)
             frequencies, power = welch(equal, 1.0 / step, nperseg=segment)
             with np.errstate(divide="ignore"):
-                levels = np.where(power > 0.0, 10.0 * np.log10(power), np.nan)
-            return [np.array([frequencies.size - 1.0, 1.0]), np.log10(frequencies[1:]), levels[1:]]
+                levels = np.where(power > 0.0, 10.0 * np.log10(power), np.nan)[1:]
+            return [np.array([levels.size, 1.0]), np.log10(frequencies[1:]), levels, levels]
 
         return _arrays(spectrum, self._curves(wanted.curves))
 

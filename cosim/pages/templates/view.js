@@ -568,22 +568,17 @@ class Desk extends Linked {
   async fill(path, asked, curves) {
     if (!curves.length) return;
     const answer = await request(path, { ...asked, curves: curves.map((c) => [c.run, c.name]) }),
-      numbers = new Float64Array(await answer.arrayBuffer()),
-      times = new Map(); // of each run
+      numbers = new Float64Array(await answer.arrayBuffer());
     let at = 0;
     const part = (length) => numbers.subarray(at, (at += length));
     for (const curve of curves) {
-      const [count, more] = part(2);
-      if (path !== "points" || part(1)[0]) times.set(curve.run, part(count));
-      const x = times.get(curve.run);
-      if (path === "plane") {
-        const over = part(count),
-          low = part(count);
-        curve.points = { x, over, low, high: low, isRow: more === 1 };
-      } else {
-        const low = part(count);
-        curve.points = { x, low, high: more || path === "spectrum" ? low : part(count), isRow: more === 1 };
-      }
+      const [count, step] = part(2),
+        [x, first, second] = [part(count), part(count), part(count)],
+        isRow = step === 1;
+      curve.points =
+        path === "plane"
+          ? { x, over: first, low: second, high: second, isRow }
+          : { x, low: first, high: second, isRow };
     }
   }
   async fetchValues() {
@@ -707,7 +702,9 @@ class Desk extends Linked {
     const { from, to } = content.view ?? this.extent;
     this.look(Number(from), Number(to));
     if (missing.length)
-      this.warn(`Omitted, because these runs lack them: ${missing.slice(0, 5).join(", ")}${missing.length > 5 ? ", …" : ""}`);
+      this.warn(
+        `Omitted, because these runs lack them: ${missing.slice(0, 5).join(", ")}${missing.length > 5 ? ", …" : ""}`,
+      );
     for (const words of wrong) this.warn(words);
   }
   // Derived signals of a layout, each after those that it depends on, in whatever order the file has them.
@@ -727,7 +724,8 @@ class Desk extends Linked {
           wrong.push(`${next.name} is left out: ${error.message}`),
         );
     }
-    if (waiting.length) wrong.push(`Omitted, because they depend on themselves: ${waiting.map((f) => f.name).join(", ")}`);
+    if (waiting.length)
+      wrong.push(`Omitted, because they depend on themselves: ${waiting.map((f) => f.name).join(", ")}`);
   }
   // The signals of criteria, each with its target, in all runs that have them.
   plotJudged() {

@@ -301,7 +301,8 @@ const post = async (path, content) => (await request(path, content)).json();
     });
   };
   events.onerror = () => {
-    if (activity === "view") return view.desk?.warn("The command has ended. The data received so far remain on this page.");
+    if (activity === "view")
+      return view.desk?.warn("The command has ended. The data received so far remain on this page.");
     if (state && FINAL.includes(state.phase)) {
       events.close(); // the command has ended
       one("#report").hidden = true;

@@ -214,8 +214,7 @@
         if (host.log && each.x) each.x = each.x.map(Math.log10);
       }
       this.also = also.map(([label, y]) => curve({ label, y }));
-      if (band)
-        this.band = { edges: band.edges.map((y) => columns[y].v), x: columns[band.x]?.v ?? null };
+      if (band) this.band = { edges: band.edges.map((y) => columns[y].v), x: columns[band.x]?.v ?? null };
       if (host.log && this.band?.x) this.band.x = this.band.x.map(Math.log10);
       this.build();
       this.box.setAttribute("data-box", "");

@@ -53,7 +53,10 @@
     put(one("#marks"), `a dot every ${every} s`);
     const { force, unit } = crafts[0];
     if (crafts[0].tilt_right)
-      put(one("#arrows"), unit ? `arrows: horizontal thrust, 10 cm = ${roundStep(force)} N` : "arrows: sine of the tilt");
+      put(
+        one("#arrows"),
+        unit ? `arrows: horizontal thrust, 10 cm = ${roundStep(force)} N` : "arrows: sine of the tilt",
+      );
     return crafts.map((entry, index) => {
       const group = all(".body", map)[index],
         pieces = Object.fromEntries(
@@ -66,7 +69,8 @@
         const row = few.findLastIndex((t) => t <= k * every + 1e-9),
           share = (k * every - few[row]) / (few[row + 1] - few[row] || 1),
           [u, v] = entry.true.map((values) => between(values, row, share));
-        if (u !== null && v !== null) one(".marks", group).append(make("path", { d: `M${u.toFixed(0)} ${v.toFixed(0)}h0` }));
+        if (u !== null && v !== null)
+          one(".marks", group).append(make("path", { d: `M${u.toFixed(0)} ${v.toFixed(0)}h0` }));
       }
       const dials = one(`[data-dials="${index}"]`);
       return { entry, group, pieces: pieces.true, dials, scale: 100 / roundStep(force) };
