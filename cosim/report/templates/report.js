@@ -81,6 +81,7 @@
     scrub = one("#scrub"),
     rowNote = one("#row");
   let columns = [];
+  const column = (key) => columns[key]?.v ?? null; // null without a key
   const announcer = document.body.appendChild(
     make("p", { class: "unseen told", role: "status", "aria-live": "polite" }),
   );
@@ -204,8 +205,8 @@
         ...more,
         values: columns[y].v,
         text: columns[y].text,
-        x: columns[x]?.v ?? null,
-        upper: columns[upper]?.v ?? null,
+        x: column(x),
+        upper: column(upper),
       });
       this.axes = [{ curves: traces.map(curve), range: null }];
       const isLone = host.v.length === 1;
@@ -214,7 +215,7 @@
         if (host.log && each.x) each.x = each.x.map(Math.log10);
       }
       this.also = also.map(([label, y]) => curve({ label, y }));
-      if (band) this.band = { edges: band.edges.map((y) => columns[y].v), x: columns[band.x]?.v ?? null };
+      if (band) this.band = { edges: band.edges.map((y) => columns[y].v), x: column(band.x) };
       if (host.log && this.band?.x) this.band.x = this.band.x.map(Math.log10);
       this.build();
       this.box.setAttribute("data-box", "");
