@@ -166,7 +166,8 @@ class ComparedRuns:
         goals, asked = "", [k for k, own in enumerate(entries) if own]
         if asked:
             met = [self.shorts[k] for k in asked if all(e.get("met") for e in entries[k])]
-            goals = f"{len(met)} of {counted(len(asked), 'run')} meet{'s' * (len(met) == 1)} all criteria"
+            share = f"{len(met)} of {counted(len(asked), 'run')}" if met else "No run"
+            goals = f"{share} meet{'' if len(met) > 1 else 's'} all criteria"
             goals += f": {join_names(met)}" if 0 < len(met) < len(asked) else ""
             shares = {k: max(map(_share_of_limit, entries[k])) for k in asked}
             best, *others = sorted(asked, key=shares.__getitem__)

@@ -16,7 +16,7 @@ from cosim.report.charts import Drawing, Plot, round_values, sample_rows
 from cosim.report.panels import Panel, signal_panel
 from cosim.report.template import Row
 from cosim.simulation import criteria
-from cosim.simulation.report.recorded import ComponentPage, Run
+from cosim.simulation.report.recorded import ComponentPage, Run, mappings, number
 from fmus.report.craft import (
     BAND,
     COLOURS,
@@ -137,8 +137,12 @@ def tiles(run: Run, crafts: Sequence[Craft]) -> list[Row]:
     for variable in ("x", "psi") if crafts and not run.has_failed else ():
         if answers := responses(crafts[0], variable):
             unit, last = UNITS[variable], answers[-1]
-            time = _settling(last.settling, unit)
-            rows.append(Row(f"Settling of {SYMBOLS[variable]}", time, f"last step, ±{BAND:g} {unit}"))
+            time, note = _settling(last.settling, unit), f"last step, ±{BAND:g} {unit}"
+            for criterion in mappings(run.manifest.get("criteria")):
+                if (criterion.get("kind"), criterion.get("of")) == ("settling_time", f"{crafts[0].name}.{variable}"):
+                    within = amount(number(criterion.get("band")), unit, None)
+                    time, note = amount(number(criterion.get("value")), "s"), f"last criterion, ±{within}"
+            rows.append(Row(f"Settling of {SYMBOLS[variable]}", time, note))
             if variable == "x":
                 error = length(last.final).replace("less than", "<")
                 rows.append(Row("Final error of x", error, "craft against reference"))

@@ -385,7 +385,7 @@ def fact_lines(facts: Mapping[str, Any]) -> str:
 def fact_text(value: Any) -> str:
     """Return a value of the manifest as text on one line."""
     if isinstance(value, Mapping):
-        return ", ".join(f"{str(key).replace('_', ' ')} {fact_text(v)}" for key, v in value.items())
+        return ", ".join(f"{key} {fact_text(v)}" for key, v in value.items())
     if isinstance(value, list | tuple):
         return ", ".join(map(fact_text, value))
     text = plain(value, None) if isinstance(value, float) else str(value)
