@@ -12,7 +12,6 @@ from itertools import chain
 from pathlib import Path
 from typing import Any
 
-from cosim.blocks.component import Signal
 from cosim.blocks.coupling import sort_groups
 from cosim.blocks.event_mode import EventFmu
 from cosim.blocks.fixes import Fixes
@@ -33,7 +32,7 @@ from cosim.system.control import Control, control_of
 from cosim.system.events import Events, changes_of, check_events
 from cosim.system.recording import RecordedPart, recorded_part
 from cosim.system.schedule import Schedule, Stage, schedule
-from cosim.system.wiring import Building, Transfer, alias_transfers, connect, connection_warnings
+from cosim.system.wiring import Building, RowLayout, Transfer, alias_transfers, connect, connection_warnings
 
 ROUNDING = 1e-6  # tolerance of the step of sampled FMUs, as a fraction of a step
 MOST_RESULTS = 8e9  # size of results [bytes]
@@ -41,11 +40,10 @@ BYTES = 8  # size of a number [bytes]
 
 
 @dataclass(frozen=True)
-class System(Schedule):
+class System(Schedule, RowLayout):
     """A system ready for the master: its schedule and the layout of its rows.
 
     Attributes:
-        beside: Columns stored outside the row of doubles, for values without exact double.
         events: Communication point → component → values to set.
         apart: Names of components with their own process.
         halved: True if rows contain differences due to halving each step, instead of signals.
@@ -57,14 +55,10 @@ class System(Schedule):
         display: Unit → name of its display unit, factor and offset to its values.
     """
 
-    columns: tuple[str, ...] = ()
-    units: Mapping[str, str] = field(default_factory=dict)
     seed: int = 0
     start: float = 0.0
     warnings: tuple[str, ...] = ()
     fmus: Mapping[str, tuple[Path, Any]] = field(default_factory=dict)
-    beside: tuple[str, ...] = ()
-    signals: Mapping[str, Signal] = field(default_factory=dict)
     events: Events = field(default_factory=dict)
     apart: frozenset[str] = frozenset()
     halved: bool = False
@@ -218,14 +212,11 @@ def build_system(file: ScenarioFile) -> System:
     scheduled = {**vars(plan), "held": (*plan.held, *of_aliases)}
     return System(
         **scheduled,
-        columns=layout.columns,
-        units=layout.units,
+        **vars(layout),
         seed=scenario.seed,
         start=scenario.start_time,
         warnings=warnings,
         fmus={name: (block.path, block.description) for name, block in blocks.items()},
-        beside=layout.beside,
-        signals=layout.signals,
         events=events,
         apart=scenario.isolated | separated,
         solving=scenario.loops,
