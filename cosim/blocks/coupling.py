@@ -213,8 +213,7 @@ class AlgorithmKey:
         allowed = list(algorithms())
         if isinstance(value, str) and value in allowed:
             return value
-        *others, last = map(repr, allowed)
-        raise PydanticKnownError("literal_error", {"expected": f"{', '.join(others)} or {last}"})
+        raise PydanticKnownError("literal_error", {"expected": " or ".join(map(repr, allowed))})
 
 
 def _sort(names: Iterable[T], ends: Iterable[tuple[T, T]]) -> tuple[T, ...]:
