@@ -220,18 +220,9 @@ def model_text(model: Model) -> str:
 
 def documentation(about: Description, text: str, guid: str, way: str) -> dict[str, bytes]:
     """Return the files of the FMU's folder `documentation`: its page `index.html`, and the licence."""
-    tables = ""
-    for head, causality in (("Inputs", "input"), ("Outputs", "output"), ("Parameters", "parameter")):
-        rows = "".join(
-            f"<tr><td><code>{escape(p.name)}</code></td><td class=number>{'' if causality == 'output' else p.start}"
-            f"</td><td>{escape(p.unit)}</td><td>{escape(p.doc)}</td></tr>"
-            for p in about.ports
-            if p.causality == causality
-        )
-        tables += f"<h2>{head}</h2><table><tr><th>Variable<th>Start<th>Unit<th>Meaning</tr>{rows}</table>"
     names = {"title": escape(about.description), "version": escape(__version__), "author": AUTHOR, "licence": LICENCE}
     page = Template((ASSETS / "page.html").read_text(encoding="utf-8")).substitute(
-        names, way=way, step=about.step, guid=guid, text=text + tables
+        names, way=way, step=about.step, guid=guid, text=text
     )
     licence = (ASSETS / "license.txt").read_bytes()
     return {"documentation/index.html": page.encode(), "documentation/license.txt": licence}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from html import escape
@@ -15,8 +15,8 @@ from cosim.core.version import __version__
 from cosim.fmi.fmu_build import Recipe, digest, write_zip
 from cosim.fmi.model_description import ASSETS, TOOL, Description, describe, documentation
 from cosim.fmi.native.check import Check
-from cosim.fmi.native.compiler import PLATFORMS, commands, fmi_headers, glibc_floor, library_of
-from cosim.fmi.native.printing import ModelPrinter
+from cosim.fmi.native.compiler import commands, fmi_headers, glibc_floor, library_of
+from cosim.fmi.native.printing import ModelPrinter, variable_tables
 from cosim.fmi.ports import Port, model_ports
 from cosim.model.model import Model
 
@@ -33,8 +33,8 @@ class Native:
     Value references are those of the ports of `about`, followed by those of the local variables.
 
     Attributes:
-        body: Generated C code, `model.c`.
-        sizes: Definitions of `config.h`.
+        body: Generated C code, which follows the tables of variables in `model.c`.
+        sizes: Definitions of `config.h` beside the numbers of variables; those of `SIZES` are 0 by default.
         parts: C files included after `model.c`.
         text: Documentation in HTML.
         locals: States, their derivatives in the same order, memory, event indicators.
@@ -51,6 +51,7 @@ class Native:
     dependencies: Mapping[str, Sequence[str]] = field(default_factory=dict)
 
 
+SIZES = ("STATES", "MEMORIES", "KINKS", "RANGES", "EFFECTS", "OWN", "EXCHANGE")
 FOLDER = Path(__file__).resolve().parent
 COMMON = ("floating.h", "near.h", "rk4.h", "stiff.h", "model.h", "instance.c", "fmi.c")
 EXPORTS = {
@@ -159,14 +160,19 @@ def build_native(native: Native, path: Path, fmi: int = 2, platforms: Sequence[s
         more = {"fmi": fmi, "locals": native.locals, "dependencies": native.dependencies}
         return describe(native.about, native.name, f"{TOOL} {__version__}", guid, interfaces, LOG, **more)
 
+    tables, texts = variable_tables(native.about.ports)
+    causalities = Counter(port.causality for port in native.about.ports)
+    sizes = {"VARIABLES": len(native.about.ports), "TEXTS": texts}
+    sizes |= {"INPUTS": causalities["input"], "OUTPUTS": causalities["output"], **dict.fromkeys(SIZES, 0)}
+
     def config(guid: str) -> bytes:
-        sizes = {**native.sizes, "MODEL_GUID": f'"{guid}"'}
-        lines = "".join(f"#define {name} {value}\n" for name, value in sizes.items())
+        defined = {**sizes, **native.sizes, "MODEL_GUID": f'"{guid}"'}
+        lines = "".join(f"#define {name} {value}\n" for name, value in defined.items())
         return f"/* Sizes and identity of this model. */\n{lines}".encode()
 
     sources = {
         "all.c": (head + "".join(f'#include "{name}"\n' for name in order)).encode(),
-        "model.c": f'#include "model.h"\n\n{native.body}'.encode(),
+        "model.c": f'#include "model.h"\n\n{tables}\n{native.body}'.encode(),
         **native.parts,
         **{name: part(name) for name in (*COMMON, layer)},
         **{file.name: file.read_text(encoding="utf-8").encode() for file in headers},  # lines end with LF
@@ -177,12 +183,10 @@ def build_native(native: Native, path: Path, fmi: int = 2, platforms: Sequence[s
     members = {f"sources/{name}": data for name, data in sources.items()}
     if fmi == 3:
         members["sources/buildDescription.xml"] = BUILD_DESCRIPTION.format(identifier=identifier).encode()
-    others = ", ".join(p.name for p in PLATFORMS.values() if p not in targets)
-    text = f"<p>Native: compiled C, which needs no Python. Libraries for {escape(', '.join(p.name for p in targets))}"
-    if others:
-        text += f"; none for {escape(others)}, compile <code>sources/</code> there"
+    built = escape(", ".join(p.name for p in targets))
+    text = f"<p>Compiled C, which needs no Python. Libraries for {built}; compile <code>sources/</code> elsewhere.</p>"
     way = f"FMI {fmi}.0 co-simulation{' and model exchange' if has_states else ''}"
-    members |= documentation(native.about, f"{text}.</p>{native.text}", guid, way)
+    members |= documentation(native.about, text + native.text, guid, way)
     members["model.png" if is2 else "terminalsAndIcons/icon.png"] = (ASSETS / "model.png").read_bytes()
     floors = {}
     for platform, command in targets.items():

@@ -12,8 +12,7 @@ from itertools import count
 from typing import Any
 
 from cosim.model.symbolic.languages import Language
-from cosim.model.symbolic.symbols import sympified
-from cosim.model.symbolic.trace import Block
+from cosim.model.symbolic.symbols import Block, sympified
 
 AWAKE, DORMANT = 0, 1  # branches of a block
 
