@@ -128,7 +128,7 @@ def build(recipe: Recipe, path: Path) -> Path:
 
 
 def _package(recipe: Recipe, class_name: str) -> tuple[str, dict[str, bytes]]:
-    """Return the name of an FMU's Python package, which contains their hash, and its files with the slave's script."""
+    """Return the name of an FMU's Python package, with a hash of its files, and the files with the slave's script."""
     sources, module = dict(_sources(recipe)), recipe.slave[0]
     identity = recipe.slave, class_name, recipe.values, recipe.substep, recipe.integrator, recipe.starts
     tag = digest(sources, repr(identity).encode())[:12]

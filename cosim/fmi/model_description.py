@@ -61,7 +61,7 @@ def describe(
     name: str,
     tool: str,
     guid: str,
-    interfaces: Mapping[str, Mapping[str, str]],
+    interfaces: Mapping[str, dict[str, str]],
     categories: Mapping[str, str],
     *,
     fmi: int = 2,

@@ -85,28 +85,28 @@ class Worker:
         if not self.running:
             start_together([self])
 
-    def _launch(self) -> None:
-        """Start a process with a new folder and shared progress; it waits for `_attend`."""
-        self.end()
-        self._scratch: ScratchFolder = scratch(PREFIX)
+    def _launch(self, *, replaced: bool = False) -> None:
+        """Start a process that waits for `_attend`, with a new folder and progress unless another one is replaced."""
+        if not replaced:
+            self.end()
+            self._scratch: ScratchFolder = scratch(PREFIX)
         try:
             self.progress = mapped_progress(self.progress_file)
-            self._start_process()
+            # A fork has all imported modules. A lock of another thread, also of one of a library, would never be
+            # released in it. For the kernel of Linux the thread that starts a process is its parent, and the worker
+            # ends with it.
+            is_alone = sys.platform.startswith("linux") and int(psutil.Process().num_threads()) == 1
+            if is_alone and not has_loaded_fmus():
+                self._process = _fork()
+            elif threading.current_thread() is threading.main_thread():
+                self._process = _spawn()
+            else:
+                with _starting:
+                    starter = _starters.setdefault(os.getpid(), ThreadPoolExecutor(1, "start of workers"))
+                self._process = starter.submit(_spawn).result()
         except BaseException:
             self._scratch.remove()
             raise
-
-    def _start_process(self) -> None:
-        """Start a process with the folder and the shared progress that are there."""
-        # For the kernel of Linux the thread that starts a process is its parent, and the worker ends with it.
-        if _can_fork():
-            self._process = _fork()
-        elif threading.current_thread() is threading.main_thread():
-            self._process = _spawn()
-        else:
-            with _starting:
-                starter = _starters.setdefault(os.getpid(), ThreadPoolExecutor(1, "start of workers"))
-            self._process = starter.submit(_spawn).result()
         self._jobs = 0
         self.starts += 1
 
@@ -179,7 +179,7 @@ class Worker:
         if isinstance(error, SharedCode) and self._jobs > 1:
             with delay_stops():
                 self.end(replaced=True)
-                self._start_process()
+                self._launch(replaced=True)
                 self._attend()
             return self.call(function, *arguments, watch=watch, doing=doing)
         if error is not None:
@@ -370,14 +370,6 @@ class _Forked(psutil.Process):  # type: ignore[misc]  # psutil is untyped
         with suppress(psutil.TimeoutExpired):
             return int(self.wait(0.0))
         return None
-
-
-def _can_fork() -> bool:
-    """Return whether a fork of this process can be the worker: on Linux, with one thread and without code of an FMU.
-
-    A fork has all imported modules. A lock of another thread, also of one of a library, would never be released in it.
-    """
-    return sys.platform.startswith("linux") and not has_loaded_fmus() and int(psutil.Process().num_threads()) == 1
 
 
 def _fork() -> _Forked:

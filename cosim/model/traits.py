@@ -61,7 +61,7 @@ def rates_of(model: Model) -> dict[str, str]:
         try:
             motion = tuple(Dual(v, [rate]) for v, rate in zip(x, derivative(0.0, x, u), strict=True))
             outputs = dict(zip(names, output(0.0, motion, u), strict=True))
-        except (ArithmeticError, ValueError):  # a root or logarithm is undefined at this state
+        except (ArithmeticError, ValueError, TypeError):  # undefined at this state, or not for dual numbers
             continue
         samples += 1
         values = {n: (y.value, y.slopes[0]) if isinstance(y, Dual) else (y, 0.0) for n, y in outputs.items()}

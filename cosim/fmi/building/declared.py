@@ -179,7 +179,8 @@ def _value_faults(kind: type[Model]) -> Faults:
                     positive.append((owner, attribute, f"the {word} size of {name}", value, limit))
     for owner, attribute, name, value, limit in positive:
         if not (isinstance(value, (int, float)) and 0.0 < value <= limit):
-            yield owner, attribute, f"{name} is {value!r}; use a number above 0, at most {limit:g}"
+            most = f", at most {limit:g}" if limit == MAX_TOLERANCE else ""
+            yield owner, attribute, f"{name} is {value!r}; use a number above 0{most}"
     if kind.integrator not in INTEGRATORS:
         yield kind, "integrator", f"integrator is {kind.integrator!r}; allowed: {', '.join(INTEGRATORS)}"
 
@@ -237,7 +238,7 @@ def _name_faults(kind: type[Model]) -> Faults:
     for where, attribute, sort, used, allowed in references:
         for name in dict.fromkeys(used):
             if name not in allowed:
-                hint = f"{did_you_mean(str(name), allowed)} ({sort}s: {', '.join(allowed) or 'none'})"
+                hint = f"{did_you_mean(str(name), allowed)} (allowed: {', '.join(allowed) or 'none'})"
                 yield where, attribute, f'{getattr(where, "name", attribute)}: no {sort} "{name}"{hint}'
     for name in kind.suspect:
         if name in kind.calibrated:

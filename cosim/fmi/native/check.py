@@ -183,7 +183,7 @@ class Check:
         state = [near(float(starts.get(q.name, q.start))) for q in self.printer.states]
         command = [near(float(v)) for v in self.model.start_command()]
         substep = self.model.substep * uniform(0.1, 1.0)
-        return EvaluationPoint(uniform(0.0, 10.0), substep, state, command, memory, values | code.switches)
+        return EvaluationPoint(uniform(0.0, 10.0), substep, state, command, memory, {**values, **code.switches})
 
     def refusal(self, difference: Difference, awake: tuple[Any, ...], code: GeneratedCode) -> UnprintableModel:
         """Return the error for a difference between Python and C, with the class at fault and a remedy."""

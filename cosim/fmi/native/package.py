@@ -157,8 +157,8 @@ def build_native(native: Native, path: Path, fmi: int = 2, platforms: Sequence[s
     interfaces["CoSimulation"] = common | {"canHandleVariableCommunicationStepSize": any_step}
 
     def description(guid: str) -> bytes:
-        more = {"fmi": fmi, "locals": native.locals, "dependencies": native.dependencies}
-        return describe(native.about, native.name, f"{TOOL} {__version__}", guid, interfaces, LOG, **more)
+        head = native.about, native.name, f"{TOOL} {__version__}", guid, interfaces, LOG
+        return describe(*head, fmi=fmi, locals=native.locals, dependencies=native.dependencies)
 
     tables, texts = variable_tables(native.about.ports)
     causalities = Counter(port.causality for port in native.about.ports)

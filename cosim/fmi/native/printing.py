@@ -163,13 +163,14 @@ class ModelPrinter:
             ("output_slopes", "t x u p dx du", [*body, *slope_blocks], slopes[n:]),
             ("shape_slopes", "t h u memory p dx du", [*shaping, *shape_blocks], shape_slopes),
         ]
+        texts: list[Function] = []
         try:
-            return [
-                (name, text, function(LANGUAGE, name, text, *of, places, calls=near[2] if "near" in text else ()))
-                for name, text, *of in functions
-            ]
+            for name, words, blocks, ends in functions:
+                calls = near[2] if "near" in words else ()
+                texts.append((name, words, function(LANGUAGE, name, words, blocks, ends, places, calls=calls)))
         except ValueError as error:
             raise UnprintableModel(str(error)) from error
+        return texts
 
     def _places(self, trace: Trace) -> dict[Any, str]:
         """Return the place of each symbol in C; parameters are indexed by value reference."""
