@@ -50,7 +50,6 @@ from cosim.master.policies import (
     ControlledSteps,
     Copies,
     EqualSteps,
-    HalvedSteps,
     Policy,
     Round,
     SavedPoint,
@@ -239,8 +238,6 @@ class Master:
         if system.control is not None:
             self.controlled = ControlledSteps(self, system.control)
         policy: Policy | CompiledSteps | None = self.instants or self.controlled
-        if system.halved:
-            policy = HalvedSteps(self)
         if policy is None:
             if system.courses[0] > 1:
                 self._estimate_slopes()

@@ -30,7 +30,7 @@ from cosim.files.cache import cache_folder
 from cosim.files.csv_source import CSV, read_heading
 from cosim.files.files import scratch_folder
 from cosim.files.folders import content_of
-from cosim.files.parquet_source import PARQUET, heading_of
+from cosim.files.formats import PARQUET, heading_of
 from cosim.files.results import INTEGER, Results, is_rounded, read_results
 from cosim.files.table import is_time, source_of
 from cosim.pages.rows import TIME, Recording, Store

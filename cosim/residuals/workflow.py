@@ -35,7 +35,6 @@ from cosim.files.folders import (
     REPLAY,
     SCHEMA_VERSION,
     content_of,
-    describe_run,
     name_of_file,
     remove_earlier,
     results_in,
@@ -148,7 +147,6 @@ def replay(
         remove_earlier(place, read=(path, driven))
         sources: dict[str, Any] = {"log": str(path), "fmu": str(driven) if fmu else ""}
         sources |= {"start": dict(given)} if given else {}
-        describe_run(place, sources)
         free = _free_run(drive, rows_file)
         try:
             release_stops()

@@ -247,9 +247,7 @@ def excite_command(*, open: bool = False, json: bool = False, **given: Any) -> N
     """
     from cosim.experiment.excite import excite
 
-    run = new_run(
-        given["folder"], f"{name_of(given['text'])}-excitation", "cosim excite", force=given["force"], goes_on=True
-    )
+    run = new_run(given["folder"], f"{name_of(given['text'])}-excitation", "cosim excite", force=given["force"])
     with run as place, progress_bar() as progress:
         choice = excite(**{**given, "folder": place}, progress=progress)
     say(choice.headline)
