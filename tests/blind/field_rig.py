@@ -167,6 +167,9 @@ class Rig:
     preroll: float  # [s] of rest command before the first row
     substeps: int = 1  # of a row, for the estimate of the cost
     shaping: tuple[str, ...] = ("command_delay.time",)  # numbers that decide the acting commands
+    # smallest, largest command, and shortest, longest hold [s] of each input; rows at rest at the beginning
+    manoeuvres: tuple[tuple[float, float, tuple[float, float]], ...] = ()
+    rest_rows: int = 0
 
     def bind(self, f: Any, p: Flat) -> tuple[Rate, Look]:
         """Return derivatives and outputs as functions, for parameters `p`; effects missing in `p` are absent.
@@ -178,7 +181,14 @@ class Rig:
 
     def drive(self, rng: Random) -> Array:
         """Return the commands of a log, shape (rows, inputs)."""
-        raise NotImplementedError
+        return rounded(self.exact_drive(rng))
+
+    def exact_drive(self, rng: Random) -> Array:
+        """Return the commands of a log in all digits: of each input steps, levels, ramps, multisines, noise."""
+        columns = [manoeuvre(rng, self.rows, self.step, (low, high), holds) for low, high, holds in self.manoeuvres]
+        commands = np.column_stack(columns)
+        commands[: self.rest_rows] = list(self.inputs.values())
+        return commands
 
     def begin(self, rng: Random) -> Array:
         """Return the start state of a log, with probability ½ at rest."""
