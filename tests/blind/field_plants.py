@@ -18,6 +18,7 @@ from tests.blind.field_rig import (
     Rate,
     Rig,
     hidden_in,
+    kept_level,
     moving,
     rounded,
     sensor,
@@ -215,16 +216,7 @@ class Tanks(Rig):
 
     def drive(self, rng: Random) -> Array:
         """Return voltages of both pumps, corrected to keep nominal tanks half full."""
-        pumps = self.exact_drive(rng)
-        levels, gain, area = np.array([0.3, 0.25]), 6e-6, 0.02
-        for row in pumps:  # on paper: keep the nominal tanks from overflowing and from running dry
-            row += 6.0 * np.minimum(0.45 - levels, 0.0) / 0.05 + 6.0 * np.maximum(0.12 - levels, 0.0) / 0.05
-            np.clip(row, 0.0, 10.0, out=row)
-            fall = levels[0] - levels[1]
-            across = 1.2e-4 * fall * (fall * fall + 1e-4) ** -0.25
-            levels = levels + self.step / area * (
-                gain * row + np.array([-across, across - 1.2e-4 * math.sqrt(max(levels[1], 1e-3))])
-            )
+        pumps = kept_level(self.exact_drive(rng), np.array([0.3, 0.25]), 0.45, 120.0, self.step)
         pumps[: self.rest_rows] = 5.0
         return rounded(pumps)
 

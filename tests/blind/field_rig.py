@@ -395,6 +395,17 @@ def _styled(style: str, rng: Random, count: int, step: float, times: tuple[float
     return np.repeat(levels, lengths)[:count]
 
 
+def kept_level(pumps: Array, levels: Array, high: float, pull: float, step: float) -> Array:
+    """Return voltages of two pumps, corrected on paper so that nominal tanks run neither over nor dry."""
+    for volts in pumps:
+        volts += pull * (np.minimum(high - levels, 0.0) + np.maximum(0.12 - levels, 0.0))
+        np.clip(volts, 0.0, 10.0, out=volts)
+        fall = levels[0] - levels[1]
+        across, out = 1.2e-4 * fall * (fall * fall + 1e-4) ** -0.25, 1.2e-4 * math.sqrt(max(levels[1], 1e-3))
+        levels = levels + step / 0.02 * (6e-6 * volts + np.array([-across, across - out]))
+    return pumps
+
+
 def moving(rng: Random, *widths: float) -> Array:
     """Return a start at rest with probability ½, else uniform within ±`widths`."""
     return rng.choice([0.0, 1.0]) * rng.uniform(-1.0, 1.0, len(widths)) * widths
