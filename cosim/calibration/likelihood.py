@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import count
 from types import MappingProxyType
@@ -18,7 +18,7 @@ from types import MappingProxyType
 import numpy as np
 
 from cosim.calibration.fit_study import Parameter
-from cosim.core.arrays import Array, Flags
+from cosim.core.arrays import Array, Flags, NamedValues
 from cosim.core.errors import SimulationError
 from cosim.residuals.drive import Drive, as_columns
 from cosim.residuals.windows import first_start, free_run, self_started, sigma_of, start_parameters
@@ -63,7 +63,7 @@ class Logs:
         self.noise = np.array([np.median([*map(sigma_of, parts)]) for parts in readings])
         self.starts = [start_parameters(drive) for drive in drives]
 
-    def shown_starts(self, values: Mapping[str, float]) -> list[Parameter]:
+    def shown_starts(self, values: NamedValues) -> list[Parameter]:
         """Return the start values that equal outputs, with a first estimate for each log, unless `values` has them."""
         unknowns = []
         for k, (drive, starts) in enumerate(zip(self.drives, self.starts, strict=True)):
@@ -77,7 +77,7 @@ class Logs:
                 unknowns.append(Parameter(name, unit, start, p.low, p.high, None, True, True, k, spread))
         return unknowns
 
-    def errors(self, k: int, values: Mapping[str, float], horizon: float | None = None) -> Array | None:
+    def errors(self, k: int, values: NamedValues, horizon: float | None = None) -> Array | None:
         """Return measured − model for log k, shape (rows, channels), NaN if either is missing; None if the FMU fails.
 
         Args:
@@ -132,9 +132,7 @@ class Likelihood:
     best: Point
     slopes: Jacobian
 
-    def __init__(
-        self, logs: Logs, unknowns: Sequence[Parameter], given: Mapping[str, float] = MappingProxyType({})
-    ) -> None:
+    def __init__(self, logs: Logs, unknowns: Sequence[Parameter], given: NamedValues = MappingProxyType({})) -> None:
         self.logs, self.unknowns, self.given = logs, unknowns, given
         rows = [(u.low, u.high, u.start, u.scale, u.sigma) for u in unknowns]
         self.low, self.high, self.prior, self.scales, sigma = np.array(rows).reshape(-1, 5).T

@@ -15,12 +15,11 @@ from typing import Any
 import numpy as np
 
 from cosim.blocks.compiling import compiling, permission
-from cosim.calibration.credibility import credibility_of
 from cosim.calibration.estimate import Estimate
 from cosim.calibration.fit_study import FitInput, Parameter, Request, read_input, request_of
 from cosim.calibration.fitted import Fitted
 from cosim.calibration.likelihood import Logs, OutOfTime
-from cosim.calibration.outcome import Part, prove, write_record
+from cosim.calibration.outcome import Part, credibility_of, prove, write_record
 from cosim.core.drafts import draft_of
 from cosim.core.errors import FmuError, InputError, SimulationError, Terminated, TimedOut, refuse, stop_error
 from cosim.core.messages import Note
@@ -36,10 +35,9 @@ from cosim.fmi.native.compiler import CompilerFailed, NoCompiler
 from cosim.fmi.wrapping.wrap import CannotWrap, parsed, set_starts, wrap, xml_of
 from cosim.isolation.process import Worker
 from cosim.logs.gate import gate, gate_faults
-from cosim.logs.log import Log
 from cosim.probing.own_step import probe_own_step
 from cosim.probing.prober import LIMITS
-from cosim.residuals.drive import MODULES, Drive, DriveApart
+from cosim.residuals.drive import MODULES, Drive, DriveApart, drive_in
 from cosim.residuals.residual_statistics import FREE_RUN
 from cosim.ssp.write import write_parameter_set
 from cosim.terms.code import TermCode
@@ -125,13 +123,8 @@ def fit(
             _refuse_own_step(request, given)
         worker = None if in_process else stack.enter_context(Worker(*MODULES))
         inner = most.model_copy(update={"total": None, "step": most.step or most.total})
-
-        def load(log: Log, file: Path = path) -> AbstractContextManager[Drive]:
-            if worker is None:
-                return Drive(log, file, given=given.fixed)
-            return DriveApart(worker, log, file, limits=inner, given=given.fixed)
-
-        drives = [stack.enter_context(load(log)) for log in given.logs]
+        load = partial(drive_in, worker, limits=inner, given=given.fixed)
+        drives = [stack.enter_context(load(log, path)) for log in given.logs]
         _refuse_bad(drives)
         opened, closed = drives[: len(request.estimation)], drives[len(request.estimation) :]
         estimate, parts = Estimate(Logs(opened, begin + (most.total or np.inf)), progress), list[Part]()
@@ -157,9 +150,6 @@ def fit(
         record = write_record(request, estimate, parts, given.fixed, time.monotonic() - begin)
         record.display = display
         record.notes += [f"{log.path.name}: {text}" for log in given.logs for text in log.assumed]
-        if request.unused:
-            unused = f"`cosim fit` ignores {join_names(request.unused)}; only `cosim refine` uses them"
-            record.warnings.insert(0, unused)
         remove_earlier(place, read=files)
         values = {name: entry.value for name, entry in record.parameters.items()}
         likelihood, x = estimate.likelihood, estimate.likelihood.best.x
@@ -169,7 +159,7 @@ def fit(
         _write_parameters(request, {n: v for n, v in given.fixed.items() if isinstance(v, float)} | values, place)
         if stop is None and values:
             start = {n: v for n, v in likelihood.values(x, 0).items() if n not in values}
-            way, reason = deliver(drives[0], values, start, place / "fitted.fmu", partial(load, given.logs[0]))
+            way, reason = deliver(drives[0], values, start, place / "fitted.fmu", partial(load, drives[0].log))
             if way == "wrapped":
                 record.notes.append(f"fitted.fmu contains the FMU in a wrapper that sets the values: {reason}")
             elif not way:

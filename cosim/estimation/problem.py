@@ -16,7 +16,6 @@ from cosim.core.linear_algebra import pseudo_inverse
 from cosim.estimation.data import UNEVEN, Readings, count_unscored, readings_of, shifted
 from cosim.estimation.kernel.kernel import (
     MEMORY,
-    Begin,
     Data,
     Filtered,
     Inputs,
@@ -24,10 +23,8 @@ from cosim.estimation.kernel.kernel import (
     Layout,
     Simulated,
     filter_all,
-    simulate_all,
 )
-from cosim.estimation.per_log import Origin, own, spread
-from cosim.estimation.subject.candidates import Free
+from cosim.estimation.subject.candidates import Free, own, spread
 
 RANGE_ROWS = 500  # scored rows for the range of the process noise, the same of each log
 UNKNOWN = 1e-4  # share of a first guess of the noise below which no sensor lies
@@ -52,6 +49,14 @@ class Settings:
     tolerance: NamedValues = field(default_factory=dict)
     per_log: tuple[str, ...] = ()
     groups: Mapping[Path, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Origin:
+    """Group of a log, and its states with an initial reading: index of the state → index of the output."""
+
+    group: str
+    initial: Mapping[int, int]
 
 
 @dataclass(frozen=True)
@@ -414,13 +419,13 @@ class Problem:
         at_once: Any = getattr(self.kernel, "simulate_from", None)  # which a kernel of another object may lack
         if at_once:
             return list(at_once(log, p, points, length))
-        begins = list[Begin]()
+        runs = list[Simulated]()
         back = 2 + math.ceil(p[delay] / log.step if delay >= 0 else 0.0)  # rows of commands that may still be delayed
         for row, state, memory in zip(*points, strict=True):
-            before = min(row, back)
-            begins.append((log.rows(row - before, row + length + 1), p, state, memory, None, before))
-        runs = zip(simulate_all(self.kernel, begins), begins, strict=True)
-        return [Simulated(run.outputs[k:], run.states[k:], run.memory[k:]) for run, (*_, k) in runs]
+            k = min(row, back)
+            run = self.kernel.simulate(log.rows(row - k, row + length + 1), p, state, memory, first=k)
+            runs.append(Simulated(run.outputs[k:], run.states[k:], run.memory[k:]))
+        return runs
 
     def score(self, values: NamedValues, noise: Noise, only: Sequence[int] | None = None) -> Scored:
         """Return innovations and variances of some logs, by default all, one after the other."""

@@ -12,9 +12,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from cosim.core.arrays import Array, Rows
-from cosim.logs.channel_noise import noise_level, surprise
-from cosim.logs.log import Log
+from cosim.core.arrays import Array, NamedArrays, Rows
+from cosim.logs.log import Log, noise_level, surprise
 
 JUMP = 0.05  # share of an input's range, and 8 times its usual change, that may cause a kink
 ANSWER = 0.1  # [s] after the jump, and 5 rows, for the response
@@ -26,7 +25,7 @@ ASTRAY = 0.4  # share of WILD for members of a group: two in a row partly hide e
 UNCERTAINTY, LATENESS = 2.0, 2  # uncertainty of a sharp prediction: factor of size, and rows of time
 
 Spikes = Mapping[str, Rows]
-Prediction = Callable[[Spikes], Mapping[str, Array]]  # model outputs by name, computed without suspect readings
+Prediction = Callable[[Spikes], NamedArrays]  # model outputs by name, computed without suspect readings
 
 
 def find_spikes(log: Log, predict: Prediction | None = None) -> dict[str, Rows]:
@@ -85,14 +84,7 @@ def _suspects(log: Log, values: Array) -> Rows:
     level = noise_level(values) * SCALE
     if not level > 0.0:
         return np.zeros(0, np.intp)
-    limit = WILD * level
-    rest = values.copy()
-    rest[_outlier_groups(values, limit)] = np.nan
-    deviation = out_of_line(log, rest)
-    around = np.max([np.roll(deviation, k) for k in (-2, -1, 1, 2)], axis=0)
-    peaks = np.flatnonzero((deviation > limit) & (deviation >= around))
-    rest[[k for k in peaks.tolist() if _neighbours_agree(rest, k, limit)]] = np.nan
-    return np.flatnonzero(np.isfinite(values) & np.isnan(rest))
+    return np.array(_outlier_groups(values, WILD * level), np.intp)
 
 
 def _outlier_groups(values: Array, limit: float) -> list[int]:
@@ -133,14 +125,3 @@ def _rows_off_cubic(y: Array, rows: Rows, limit: float) -> Rows:
     if abs(y1 - y0 - slope * (t1 - t0)) > 0.5 * deviation.max():  # a step, not an outlier
         return rows[:0]
     return np.asarray(rows[inside[(deviation > limit) & (deviation > 0.5 * deviation.max())]])
-
-
-def _neighbours_agree(values: Array, k: int, limit: float) -> bool:
-    """Return True if the readings around row k change evenly when row k is ignored."""
-    if not 2 <= k < values.size - 2:
-        return False
-    before, after = values[k - 2 : k], values[k + 1 : k + 3]
-    slope = (after[0] - before[1]) / 2.0
-    bends = (before[1] - before[0] - slope, after[1] - after[0] - slope)
-    middle = abs(values[k] - 0.5 * (before[1] + after[0]))
-    return bool(max(map(abs, bends)) < 0.5 * min(middle, limit) or max(map(abs, bends)) < 0.25 * middle)

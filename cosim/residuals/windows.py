@@ -21,12 +21,11 @@ from typing import Any
 
 import numpy as np
 
-from cosim.core.arrays import Array, Rows
+from cosim.core.arrays import Array, NamedArrays, NamedValues, Rows
 from cosim.core.errors import SimulationError
 from cosim.core.linear_algebra import least_squares
 from cosim.fmi.state import MEMORY, STATE, Memory, Own
-from cosim.logs.channel_noise import least_noise_level, noise_level
-from cosim.logs.log import Log, stretches
+from cosim.logs.log import Log, least_noise_level, noise_level, stretches
 from cosim.model.namespaces import SCALAR
 from cosim.model.planar import local_vector, world_velocity
 from cosim.model.traits import rate_of
@@ -61,7 +60,7 @@ class Replay:
 
     horizon: float
     starts: Mapping[int, Mapping[str, Any]]
-    outputs: Mapping[str, Array]
+    outputs: NamedArrays
     states: Mapping[int, Own] = field(default_factory=dict)
     parameters: Mapping[str, StartParameter] = field(default_factory=dict)
 
@@ -260,7 +259,7 @@ def first_start(drive: Drive, parameters: Mapping[str, StartParameter]) -> dict[
     return start
 
 
-def _values_for(parameters: Mapping[str, StartParameter], outputs: Mapping[str, float]) -> dict[str, float]:
+def _values_for(parameters: Mapping[str, StartParameter], outputs: NamedValues) -> dict[str, float]:
     """Return the values of start parameters that give some outputs."""
     return {parameters[name].name: parameters[name].value(value) for name, value in outputs.items()}
 
@@ -268,8 +267,8 @@ def _values_for(parameters: Mapping[str, StartParameter], outputs: Mapping[str, 
 def window_start(
     drive: Drive,
     parameters: Mapping[str, StartParameter],
-    sigma: Mapping[str, float],
-    carrier: Mapping[str, Array],
+    sigma: NamedValues,
+    carrier: NamedArrays,
     since: int,
     k: int,
 ) -> dict[str, float]:
@@ -289,7 +288,7 @@ def window_start(
     return _values_for(parameters, corrected if readable(parameters) else state | corrected)
 
 
-def noise_levels(log: Log, model: Mapping[str, Array] | None = None) -> dict[str, float]:
+def noise_levels(log: Log, model: NamedArrays | None = None) -> dict[str, float]:
     """Return channel → noise level, more accurate with outputs of the model."""
     return {name: sigma_of(values, (model or {}).get(name)) for name, values in log.outputs.items()}
 
@@ -301,9 +300,9 @@ def readable(parameters: Mapping[str, StartParameter]) -> bool:
 
 def _corrections(
     drive: Drive,
-    carrier: Mapping[str, Array],
-    sigma: Mapping[str, float],
-    state: Mapping[str, float],
+    carrier: NamedArrays,
+    sigma: NamedValues,
+    state: NamedValues,
     at: int,
     rows: Rows,
 ) -> dict[str, float]:

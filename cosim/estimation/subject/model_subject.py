@@ -30,7 +30,7 @@ from cosim.model.model import Effect, Model, overrides
 from cosim.model.quantities import parameters_of
 from cosim.model.symbolic.symbols import symbolic
 from cosim.model.traits import Traits
-from cosim.residuals.drive import Drive, DriveApart
+from cosim.residuals.drive import drive_in
 from cosim.residuals.windows import Replay, windows
 
 FILES = {"refined": REFINED, "nearest": NEAREST}
@@ -205,9 +205,8 @@ class FmuReplayer(Replayer):
         self, log: Log, data: Data, values: NamedValues, starts: Mapping[float, Mapping[int, Start]]
     ) -> Generator[Replay, None, None]:
         """Yield one replay for each horizon, with one load of the FMU."""
-        worker, limits = self.place.worker, self.place.limits
-        remote = worker and DriveApart(worker, log, self.fmu, interpolated=data.interpolated, limits=limits)
-        with remote or Drive(log, self.fmu, interpolated=data.interpolated) as drive:
+        limits, interpolated = self.place.limits, data.interpolated
+        with drive_in(self.place.worker, log, self.fmu, limits=limits, interpolated=interpolated) as drive:
             for horizon, begins in starts.items():
                 numbers = {k: {**self.parameters, **start_values(self.model, start)} for k, start in begins.items()}
                 memories = {k: delayed_commands(self.model, values, log, data, k) for k in begins}
