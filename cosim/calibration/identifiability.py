@@ -65,7 +65,29 @@ def screen(likelihood: Likelihood) -> tuple[list[ChoiceEntry], Flags]:
         reasons.append("" if largest > NO_EFFECT else "no effect on any measured output")
     matrix = np.column_stack(columns)
     starts = np.column_stack(nuisance) if nuisance else np.zeros((matrix.shape[0], 0))
-    chosen = _select(names, _without(matrix, starts), np.linalg.norm(matrix, axis=0), reasons)
+    sizes, matrix = np.linalg.norm(matrix, axis=0), _without(matrix, starts)
+    chosen, rest, least = list[int](), matrix.copy(), 1.96 / WIDEST
+    while True:  # pivoted QR
+        left = np.linalg.norm(rest, axis=0)
+        fits = [i for i, r in enumerate(reasons) if not r and left[i] >= max(least, APART * max(sizes[i], 1e-300))]
+        if not fits:
+            break
+        best = max(fits, key=lambda i: (round(math.log10(left[i]), 3), -i))
+        chosen.append(best)
+        reasons[best] = f"its interval is at best ± {plain(196.0 / left[best], 2)} % of its value"
+        direction = rest[:, best] / left[best]
+        rest = rest - np.outer(direction, direction @ rest)
+    for i in (i for i, reason in enumerate(reasons) if not reason):
+        if chosen and np.linalg.norm(matrix[:, i]) >= least:
+            weights = least_squares(matrix[:, chosen], matrix[:, i])
+            parts = np.abs(weights) * np.linalg.norm(matrix[:, chosen], axis=0)
+            imitators = [names[c] for c, part in zip(chosen, parts, strict=True) if part > 0.3 * np.max(parts)]
+            reasons[i] = f"imitated by {join_names(imitators)}"
+        elif sizes[i] >= least:
+            reasons[i] = "not distinguishable from start values of the logs"
+        else:
+            at_best = plain(196.0 / max(float(sizes[i]), 1e-12), 2)
+            reasons[i] = f"its effect is within the noise: at best ± {at_best} % of its value"
     choices = [
         ChoiceEntry(name=n, effect=finite(e), estimated=i in chosen, reason=reasons[i])
         for i, (n, e) in enumerate(zip(names, effects, strict=True))
@@ -91,37 +113,6 @@ def _without(columns: Array, nuisance: Array) -> Array:
     return np.asarray(columns - basis @ (basis.T @ columns))
 
 
-def _select(names: Sequence[str], matrix: Array, sizes: Array, reasons: list[str]) -> list[int]:
-    """Return the columns selected by pivoted QR, and add the reason for or against each to `reasons`."""
-    chosen: list[int] = []
-    rest = matrix.copy()
-    least = 1.96 / WIDEST
-    while True:
-        left = np.linalg.norm(rest, axis=0)
-        fits = [i for i, r in enumerate(reasons) if not r and left[i] >= max(least, APART * max(sizes[i], 1e-300))]
-        if not fits:
-            break
-        best = max(fits, key=lambda i: (round(math.log10(left[i]), 3), -i))
-        chosen.append(best)
-        reasons[best] = f"its interval is at best ± {plain(196.0 / left[best], 2)} % of its value"
-        direction = rest[:, best] / left[best]
-        rest = rest - np.outer(direction, direction @ rest)
-    for i, reason in enumerate(reasons):
-        if reason:
-            continue
-        if chosen and np.linalg.norm(matrix[:, i]) >= least:
-            weights = least_squares(matrix[:, chosen], matrix[:, i])
-            parts = np.abs(weights) * np.linalg.norm(matrix[:, chosen], axis=0)
-            imitators = [names[c] for c, part in zip(chosen, parts, strict=True) if part > 0.3 * np.max(parts)]
-            reasons[i] = f"imitated by {join_names(imitators)}"
-        elif sizes[i] >= least:
-            reasons[i] = "not distinguishable from start values of the logs"
-        else:
-            size = max(float(sizes[i]), 1e-12)
-            reasons[i] = f"its effect is within the noise: at best ± {plain(196.0 / size, 2)} % of its value"
-    return chosen
-
-
 # -- combinations ---------------------------------------------------------------------------------
 
 
@@ -132,15 +123,27 @@ def find_combination(likelihood: Likelihood) -> tuple[CombinationEntry | None, A
     along it changes the outputs a hundred times less than the same step of one parameter alone.
     """
     point = likelihood.best
-    good = [np.isfinite(t) for t in point.tables]
-    rows = [
-        s[g] / np.broadcast_to(point.sigma, g.shape)[g][:, None] for s, g in zip(likelihood.slopes, good, strict=True)
-    ]
+    good, scales = [np.isfinite(t) for t in point.tables], np.maximum(likelihood.scales, np.abs(point.x))
+    rows = [(s / point.sigma[:, None])[g] for s, g in zip(likelihood.slopes, good, strict=True)]
     shared = np.array([u.log is None for u in likelihood.unknowns], bool)
-    columns = np.vstack(rows) * np.maximum(likelihood.scales, np.abs(point.x))
+    columns = np.vstack(rows) * scales
     matrix = _without(columns[:, shared], columns[:, ~shared])
     if not matrix.size or not np.isfinite(matrix).all():
         return None, np.zeros(0)
+
+    def form(pair: Array, equal: Form, opposite: Form) -> Form:
+        if pair.size != 2 or np.any(np.abs(pair) != 1.0):
+            return "combination"
+        return equal if pair[0] == pair[1] else opposite
+
+    def visible(places: Rows, step: Array) -> float:
+        """Return the change of the outputs by a step, in standard deviations; infinite if the FMU fails."""
+        move = np.zeros(point.x.size)
+        move[places] = step
+        if (changes := _changes(likelihood, move)) is None:
+            return math.inf
+        return math.sqrt(sum(float(np.nansum((c / point.sigma) ** 2)) for c in changes))
+
     parameters, lengths = np.flatnonzero(shared), np.linalg.norm(matrix, axis=0)
     _, values, directions = np.linalg.svd(matrix, full_matrices=False)
     for k in np.argsort(values, kind="stable").tolist():
@@ -148,45 +151,24 @@ def find_combination(likelihood: Likelihood) -> tuple[CombinationEntry | None, A
             break
         direction = directions[k] / np.max(np.abs(directions[k]))
         parts = np.flatnonzero(np.abs(direction) > TAKES_PART)
-        if len(parts) == 1 or (likelihood.precision[parameters[parts]] > 0.0).any():
+        places, direction = parameters[parts], direction[parts]
+        if len(parts) == 1 or (likelihood.precision[places] > 0.0).any():
             continue  # too weak alone, as its interval shows, or determined by the prior
-        alone = MOVE * float(np.max(lengths[parts]))
-        if (form := _invisible_form(likelihood, parameters[parts], direction[parts], alone)) is not None:
-            names = [likelihood.unknowns[j].name for j in parameters[parts].tolist()]
-            expression = SIGNS.get(form, ", ").join(names)
-            return CombinationEntry(names=names, held=names[-1], form=form, expression=expression), values
+        # relative to the smallest component, and rounded if close to integers
+        relative = [each / np.min(np.abs(each)) for each in (direction, direction * scales[places])]
+        pairs = [(each, np.rint(each)) for each in relative]
+        powers, shares = (np.where(np.abs(each - whole) < 0.05 * np.abs(whole), whole, each) for each, whole in pairs)
+        x = point.x[places]
+        moves = [(form(powers, "ratio", "product"), x * np.exp(MOVE * powers) - x)] if np.all(x != 0.0) else []
+        size = float(np.min(np.abs(x[np.abs(shares) > 0.0]), initial=math.inf)) or float(np.min(scales[places]))
+        moves.append((form(shares, "difference", "sum"), MOVE * size * shares))
+        largest = INVISIBLE * MOVE * float(np.max(lengths[parts]))
+        for name, move in sorted(moves, key=lambda pair: pair[0] == "combination"):  # forms with a name are preferred
+            if min(visible(places, move), visible(places, -move)) <= largest:
+                names = [likelihood.unknowns[j].name for j in places.tolist()]
+                expression = SIGNS.get(name, ", ").join(names)
+                return CombinationEntry(names=names, held=names[-1], form=name, expression=expression), values
     return None, values
-
-
-def _invisible_form(likelihood: Likelihood, places: Rows, direction: Array, alone: float) -> Form | None:
-    """Return the form (product, ratio, sum, …) of a combination without effect on the outputs, if any."""
-    point = likelihood.best
-    scales, x = np.maximum(likelihood.scales, np.abs(point.x))[places], point.x[places]
-
-    def form(pair: Array, equal: Form, opposite: Form) -> Form:
-        if pair.size != 2 or np.any(np.abs(pair) != 1.0):
-            return "combination"
-        return equal if pair[0] == pair[1] else opposite
-
-    def visible(part: Array) -> float:
-        """Return the change of the outputs by a step, in standard deviations; infinite if the FMU fails."""
-        move = np.zeros(point.x.size)
-        move[places] = part
-        if (changes := _changes(likelihood, move)) is None:
-            return math.inf
-        return math.sqrt(sum(float(np.nansum((c / point.sigma) ** 2)) for c in changes))
-
-    # relative to the smallest component, and rounded if close to integers
-    relative = [each / np.min(np.abs(each)) for each in (direction, direction * scales)]
-    pairs = [(each, np.rint(each)) for each in relative]
-    powers, shares = (np.where(np.abs(each - whole) < 0.05 * np.abs(whole), whole, each) for each, whole in pairs)
-    moves = [(form(powers, "ratio", "product"), x * np.exp(MOVE * powers) - x)] if np.all(x != 0.0) else []
-    size = float(np.min(np.abs(x[np.abs(shares) > 0.0]), initial=math.inf)) or float(np.min(scales))
-    moves.append((form(shares, "difference", "sum"), MOVE * size * shares))
-    for name, move in sorted(moves, key=lambda pair: pair[0] == "combination"):  # forms with a name are preferred
-        if min(visible(move), visible(-move)) <= INVISIBLE * alone:
-            return name
-    return None
 
 
 # -- intervals ------------------------------------------------------------------------------------

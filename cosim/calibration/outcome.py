@@ -20,7 +20,7 @@ from cosim.calibration.fit_record import (
     StartEntry,
     Verdict,
 )
-from cosim.calibration.fit_study import Request
+from cosim.calibration.fit_study import Parameter, Request
 from cosim.calibration.likelihood import Likelihood
 from cosim.core.arrays import Flags, NamedArrays, NamedValues
 from cosim.core.errors import SimulationError
@@ -59,30 +59,28 @@ class Part:
     after: NamedArrays
 
 
-def prove(
-    drives: Sequence[Drive],
-    before: Sequence[NamedValues],
-    after: Sequence[NamedValues],
-    horizon: float,
-    *,
-    sealed: bool,
-) -> Part:
+def prove(parameters: Sequence[Parameter], estimate: Estimate, drives: Sequence[Drive], *, sealed: bool) -> Part:
     """Return the errors of a set of logs, by the replays of `cosim replay`, with the values before and after the fit.
 
-    Args:
-        horizon: Horizon of the noise floor of the fitted model; FREE_RUN for free runs.
+    Sealed logs take the mean of values per log.
     """
-    logs, sides, squares = [d.log for d in drives], list[list[Mapping[float, Replay]]](), dict[str, list[float]]()
-    for every in (before, after):
-        sides.append([])
-        for drive, values in zip(drives, every, strict=True):
+    assert estimate.likelihood is not None
+    likelihood, horizon = estimate.likelihood, estimate.logs.horizon or FREE_RUN
+    varied, before = {p.name for p in parameters}, {p.name: p.start for p in parameters if not p.is_start}
+    every = [likelihood.values(likelihood.best.x, k) for k in range(len(estimate.logs.drives))]
+    after = [{n: v for n, v in each.items() if n in varied} for each in every]
+    if sealed:
+        after = [{n: float(np.mean([each[n] for each in after])) for n in after[0]}] * len(drives)
+    logs, squares = [d.log for d in drives], dict[str, list[float]]()
+    sides: tuple[list[Mapping[float, Replay]], list[Mapping[float, Replay]]] = [], []
+    for drive, fitted in zip(drives, after, strict=True):
+        for side, values in zip(sides, (before, fitted), strict=True):
             moved = drive.with_values(values)
             free = free_run(moved)
             replays = replays_over(moved, free, horizons(moved.log)[-1:])
-            sides[-1].append(replays)
-            if every is after:
-                for name, floor in floors(moved, free, replays.get(horizon, free)).items():
-                    squares.setdefault(name, []).extend([floor.rmse**2] if math.isfinite(floor.rmse) else [])
+            side.append(replays)
+            for name, floor in floors(moved, free, replays.get(horizon, free)).items() if values is fitted else ():
+                squares.setdefault(name, []).extend([floor.rmse**2] if math.isfinite(floor.rmse) else [])
     common = set.intersection(*(set(replays) for side in sides for replays in side))
     horizon = horizon if horizon in common else FREE_RUN
     errors = {}  # horizon → channel → root mean square error before and after, pooled over the logs
@@ -107,15 +105,6 @@ def prove(
     rises = [*find_rises(*shown)] if sealed else []
     part = PartErrors(horizon=finite(horizon), channels=channels, horizons=spans)
     return Part(sealed, part, rises, logs[-1], *(side[-1][1].outputs for side in shown))
-
-
-def _verdict(part: Part) -> Verdict:
-    """Return the verdict from the geometric mean, over the channels, of the ratio of errors after/before."""
-    ratios = [c.after / c.before for c in part.errors.channels.values() if c.before and c.after]
-    ratio = math.exp(float(np.mean(np.log(ratios)))) if ratios else math.nan
-    if ratio > 1.0 / CLEAR or part.rises:
-        return "worse"
-    return "improved" if ratio < CLEAR else "unchanged"
 
 
 def write_record(
@@ -161,12 +150,19 @@ def write_record(
         matrix = spread.matrix[np.ix_(shared, shared)]
         roots = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
         correlation = np.clip(matrix / np.outer(roots, roots), -1.0, 1.0).tolist()
+    verdict: Verdict = "stopped"
+    if parts:  # by the geometric mean, over the channels, of the ratio of errors after/before
+        channels = parts[-1].errors.channels.values()
+        logarithms = [math.log(c.after / c.before) for c in channels if c.before and c.after]
+        ratio = math.exp(float(np.mean(logarithms))) if logarithms else math.nan
+        verdict = "improved" if ratio < CLEAR else "unchanged"
+        verdict = "worse" if ratio > 1.0 / CLEAR or parts[-1].rises else verdict
     noise = zip(logs.channels, point.sigma.tolist(), colour.tolist(), strict=True)
     record = Record(
         fmu=str(request.fmu),
         logs=[str(p) for p in request.estimation],
         sealed=[str(p) for p in request.sealed],
-        verdict=_verdict(parts[-1]) if parts else "stopped",
+        verdict=verdict,
         sentence="",
         windows=logs.horizon,
         windows_reason=estimate.reason,

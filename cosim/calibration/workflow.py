@@ -16,7 +16,7 @@ import numpy as np
 
 from cosim.blocks.compiling import compiling, permission
 from cosim.calibration.estimate import Estimate
-from cosim.calibration.fit_study import FitInput, Parameter, Request, read_input, request_of
+from cosim.calibration.fit_study import FitInput, Request, read_input, request_of
 from cosim.calibration.fitted import Fitted
 from cosim.calibration.likelihood import Logs, OutOfTime
 from cosim.calibration.outcome import Part, credibility_of, prove, write_record
@@ -38,7 +38,6 @@ from cosim.logs.gate import gate, gate_faults
 from cosim.probing.own_step import probe_own_step
 from cosim.probing.prober import LIMITS
 from cosim.residuals.drive import MODULES, Drive, DriveApart, drive_in
-from cosim.residuals.residual_statistics import FREE_RUN
 from cosim.ssp.write import write_parameter_set
 from cosim.terms.code import TermCode
 
@@ -114,7 +113,8 @@ def fit(
         ExitStack() as stack,
     ):
         place, given = named_path(folder), read_input(request)
-        display = display_units([read_description(path)])
+        described = read_description(path)
+        display = display_units([described])
         stack.enter_context(showing({"display": display}))
         files = [*request.logs, path, *([request.yaml.path] if request.yaml else [])]
         check_writable(place, FILES, files)
@@ -134,7 +134,8 @@ def fit(
             estimate.run(given.parameters, screening=not request.vary, profiled=request.profile)
             stage = "the proof"
             progress("replaying with the values before and after the fit", 0.0)
-            parts = _proof(given.parameters, estimate, opened, closed)
+            parts = [prove(given.parameters, estimate, opened, sealed=False)]
+            parts += [prove(given.parameters, estimate, closed, sealed=True)] if closed else []
         except OutOfTime:
             reached = f"the limit of {most.total:g} s (limits: total) is reached"
             stop = TimedOut("the fit", 0.0, f"{reached}; the best values so far are written, without final check")
@@ -156,7 +157,11 @@ def fit(
         if len(opened) == 1:  # named start values of a single log may be start values of the fitted FMU
             each = zip(likelihood.unknowns, x.tolist(), strict=True)
             values |= {u.name: v for u, v in each if u.log is not None and not u.spread}
-        _write_parameters(request, {n: v for n, v in given.fixed.items() if isinstance(v, float)} | values, place)
+        all_values = {n: v for n, v in given.fixed.items() if isinstance(v, float)} | values
+        units = {v.name: unit_of(v) for v in described.modelVariables if v.name in all_values}
+        definitions = {u: d for u in set(units.values()) if (d := unit_definition(described, u)) is not None}
+        pairs = {n: (v, units[n]) for n, v in all_values.items()}
+        write_parameter_set(place / "fitted.ssv", f"{path.stem}-fitted", pairs, definitions)
         if stop is None and values:
             start = {n: v for n, v in likelihood.values(x, 0).items() if n not in values}
             way, reason = deliver(drives[0], values, start, place / "fitted.fmu", partial(load, drives[0].log))
@@ -186,34 +191,6 @@ def fit(
         stop.left = place
         raise stop
     return Fitted(content, None if out is None else folder, (*record.warnings, *map(Note, record.notes)))
-
-
-def _proof(
-    parameters: Sequence[Parameter], estimate: Estimate, opened: Sequence[Drive], closed: Sequence[Drive]
-) -> list[Part]:
-    """Return the errors on the logs of the estimate, and on sealed logs.
-
-    Values per log are replaced by their mean there.
-    """
-    assert estimate.likelihood is not None
-    likelihood, horizon = estimate.likelihood, estimate.logs.horizon or FREE_RUN
-    varied, first = {p.name for p in parameters}, {p.name: p.start for p in parameters if not p.is_start}
-    every = [likelihood.values(likelihood.best.x, k) for k in range(len(opened))]
-    own = [{n: v for n, v in each.items() if n in varied} for each in every]
-    parts = [prove(opened, [first] * len(opened), own, horizon, sealed=False)]
-    if closed:
-        mean = {n: float(np.mean([each[n] for each in own])) for n in own[0]}
-        parts.append(prove(closed, [first] * len(closed), [mean] * len(closed), horizon, sealed=True))
-    return parts
-
-
-def _write_parameters(request: Request, values: Mapping[str, float], folder: Path) -> None:
-    """Write values as an SSP parameter set with units."""
-    described = read_description(request.fmu)
-    units = {v.name: unit_of(v) for v in described.modelVariables}
-    definitions = {u: d for u in {units[n] for n in values} if (d := unit_definition(described, u)) is not None}
-    pairs = {n: (v, units[n]) for n, v in values.items()}
-    write_parameter_set(folder / "fitted.ssv", f"{request.fmu.stem}-fitted", pairs, definitions)
 
 
 def check_fit_study(path: Path, checking: Checking) -> list[str]:

@@ -34,7 +34,7 @@ def find_spikes(log: Log, predict: Prediction | None = None) -> dict[str, Rows]:
     Args:
         predict: Model outputs in the rows of the log; called only for suspect readings.
     """
-    suspects = {name: rows for name, values in log.outputs.items() if (rows := _suspects(log, values)).size}
+    suspects = {name: rows for name, values in log.outputs.items() if (rows := _suspects(values)).size}
     if not suspects:
         return {}
     model = {} if predict is None else predict(suspects)
@@ -79,20 +79,14 @@ def out_of_line(log: Log, values: Array) -> Array:
     return np.asarray(SCALE * np.abs(np.nan_to_num(np.where(complete, surprise(whole), 0.0)[place])))
 
 
-def _suspects(log: Log, values: Array) -> Rows:
-    """Return the rows of readings that deviate from agreeing neighbours."""
-    level = noise_level(values) * SCALE
-    if not level > 0.0:
-        return np.zeros(0, np.intp)
-    return np.array(_outlier_groups(values, WILD * level), np.intp)
-
-
-def _outlier_groups(values: Array, limit: float) -> list[int]:
-    """Return the rows of groups of outliers.
+def _suspects(values: Array) -> Rows:
+    """Return the rows of outliers, alone or in groups.
 
     In a stretch of deviating readings, the outliers deviate from the cubic through three readings on each side.
     """
-    rows = np.flatnonzero(np.isfinite(values))
+    rows, limit = np.flatnonzero(np.isfinite(values)), WILD * SCALE * noise_level(values)
+    if not limit > 0.0:
+        return rows[:0]
     deviation = np.nan_to_num(np.abs(surprise(values[rows]))) * SCALE
     astray = deviation > ASTRAY * limit
     astray[1:-1] |= astray[:-2] & astray[2:]
@@ -109,7 +103,7 @@ def _outlier_groups(values: Array, limit: float) -> list[int]:
         runs = np.split(wild, np.flatnonzero(np.diff(wild) > 1) + 1)
         if 0 < wild.size <= MOST and max(run.size for run in runs) <= ADJACENT:
             outliers += wild.tolist()
-    return outliers
+    return np.array(outliers, np.intp)
 
 
 def _rows_off_cubic(y: Array, rows: Rows, limit: float) -> Rows:
