@@ -26,7 +26,7 @@ from cosim.isolation.limits import Limits, read_limits
 from cosim.logs.log import NORMAL_95, Log, read_column_names
 from cosim.probing.log_runs import limits_of
 from cosim.refinement.study import FileName, LogLists
-from cosim.residuals.drive import check_files, log_of_fmu, start_values
+from cosim.residuals.drive import log_of_fmu, start_values
 from cosim.scenario.start_values import convert_value, settable
 
 NOT_VARIED = '--vary "{text}" must have the form NAME, NAME=20% or NAME=LOW..HIGH, such as mass=0.3..2'
@@ -231,14 +231,12 @@ def read_input(request: Request) -> FitInput:
         faults.append(request.fault(("logs",), message, Path("LOG")))
     twice = "is given twice; use a log either for the estimate or as a sealed log"
     faults += [request.log_fault(k, twice) for k, p in enumerate(paths) if p in paths[:k]]
-    refuse(faults if yaml is not None and not fmu.exists() else ())
-    for path in existing or [fmu]:
-        attempt(check_files, None, path, fmu)
-    refuse(faults if any(f.file == fmu for f in faults) or {f.file for f in faults} >= {*existing} else ())
-    given = attempt(start_values, {}, fmu, request.start, lambda n, text: request.fault(("start", n), text))
-    parameters: list[Parameter] = attempt(_parameters, [], request, read_description(fmu), given)
+    refuse(faults if not existing or (yaml is not None and not fmu.exists()) else ())
     alone = len(existing) == 1
     logs = [attempt(log_of_fmu, None, path, fmu, request.columns, alone=alone) for path in existing]
+    refuse(faults if any(f.file == fmu for f in faults) or not any(logs) else ())
+    given = attempt(start_values, {}, fmu, request.start, lambda n, text: request.fault(("start", n), text))
+    parameters: list[Parameter] = attempt(_parameters, [], request, read_description(fmu), given)
     varied = {p.name for p in parameters}
     for k, name in enumerate(request.profile if parameters else ()):
         if name not in {p.name for p in parameters if not p.per_log}:
