@@ -24,7 +24,7 @@ from cosim.core.text import (
     split_sentence,
 )
 from cosim.core.version import __version__
-from cosim.logs.channel_noise import NORMAL_95
+from cosim.logs.log import NORMAL_95
 from cosim.report.charts import Charts, Plot
 from cosim.report.html_tables import Badge, Row
 from cosim.report.panels import Panel, Trace

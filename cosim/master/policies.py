@@ -191,8 +191,6 @@ class SavedPoint:
         self.restore_signals()
 
 
-
-
 class ControlledSteps(Policy):
     """Steps of a run under control, from its first row on.
 

@@ -32,7 +32,7 @@ from cosim.credibility.bands import Coverage
 from cosim.estimation.subject.candidates import Free
 from cosim.files.files import atomic_write, path_from_here
 from cosim.fmi.building.refined import NEAREST, REFINED
-from cosim.logs.channel_noise import NORMAL_95
+from cosim.logs.log import NORMAL_95
 from cosim.refinement.decision.claims import error_text, rounded
 from cosim.refinement.decision.posterior import CERTAIN
 from cosim.refinement.proof.measure import OTHER_HORIZONS, Part
