@@ -213,7 +213,8 @@ class AlgorithmKey:
         allowed = list(algorithms())
         if isinstance(value, str) and value in allowed:
             return value
-        raise PydanticKnownError("literal_error", {"expected": " or ".join(map(repr, allowed))})
+        *others, last = map(repr, allowed)
+        raise PydanticKnownError("literal_error", {"expected": f"{', '.join(others)} or {last}"})
 
 
 def _sort(names: Iterable[T], ends: Iterable[tuple[T, T]]) -> tuple[T, ...]:

@@ -99,11 +99,14 @@ class Pacer:
         overruns, count = record["overruns"], record["overruns"].get("beyond_step")
         if not count:
             return ()
-        return (
-            f"{count} of {record['points']} communication points came more than a step behind the pace {self.pace:g}, "
-            f"at worst {1e3 * overruns['worst']:.3g} ms at t = {overruns['at']:.6g} s, and the last "
-            f"{1e3 * record['behind_at_end']:.3g} ms",
-        )
+        worst = f"at worst {1e3 * overruns['worst']:.3g} ms at t = {overruns['at']:.6g} s"
+        points = f"{count} of {record['points']} communication points came more than a step"
+        if (end := record["behind_at_end"]) > self.length:
+            return (
+                f"the pace {self.pace:g} is not kept: {points} late, {worst}, and the last {1e3 * end:.3g} ms; the run "
+                "went on as fast as it could",
+            )
+        return (f"{points} behind the pace {self.pace:g}, {worst}; the run caught up",)
 
 
 def _rounded(value: Any) -> float:

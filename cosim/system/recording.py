@@ -86,7 +86,7 @@ def _objection(building: Building, pattern: str) -> str | None:
         variables = {f"{name}.{v.name}": v.causality for v in component.description.modelVariables}
         if variables.get(pattern) == "independent":
             return f"{pattern} is always recorded as the first column; remove it"
-        others += variables
+        others += [full for full, causality in variables.items() if causality != "independent"]
     near = did_you_mean(pattern.replace("*", ""), others)
     hint = near or f"; there are {join_names(others) or 'none'}"
     return f'no signal matches "{pattern}"{hint}'

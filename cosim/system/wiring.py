@@ -33,7 +33,6 @@ from cosim.scenario.scenario_file import Place, ScenarioFile
 
 Components = Mapping[str, Component]
 MOST_NAMED = 20  # signals shown in a message
-
 LONGEST = 2000  # of a message [characters]
 PASSING = {"freeze", "dropout", "delay"}  # faults that pass values of any type unchanged
 
@@ -76,7 +75,8 @@ class Building:
 
     def note(self, where: Place, message: str, exit_code: int = 2) -> None:
         """Record a fault at a place of the scenario; raise InputError at the limit of faults."""
-        message = message if len(message) <= LONGEST else f"{message[: LONGEST - 1]}…"
+        if len(message) > LONGEST:
+            message = f"{message[: LONGEST - 1]}…"
         self.faults.append(self.file.fault(where, message, exit_code=exit_code))
         if len(self.faults) >= MOST_FAULTS:
             raise InputError([*self.faults, Fault(self.file.path, 0, 0, f"the first {MOST_FAULTS} faults are shown")])
