@@ -88,7 +88,7 @@ class CompiledSteps:
         self.plan = plan = Plan(system.start, master.h, slots=len(slots), width=len(master.row), next=master.done)
         plan.threads = min(cores(), max(together, default=1)) - 1
         plan.slot = ctypes.addressof(self.slots)
-        plan.holds, plan.hold = self._transfers(system.held, {s.name: s.every for s in system.stages})
+        plan.holds, plan.hold = self._transfers(system.held, {s.component.name: s.every for s in system.stages})
         plan.row, plan.table = ctypes.addressof(master.row), master.table.ctypes.data
         plan.counter, plan.doing, plan.asked = map(address_of, (master.row_count, master.doing, master.asked))
         master.together.append(self)
@@ -121,7 +121,7 @@ class CompiledSteps:
             links = [link.link() for link in self.master.links[t.name]]
             chain = (ConvertedLink * len(links))(*links)
             ends = first + 8 * t.source, first + 8 * t.target
-            made.append(CTransfer(*ends, every.get(t.receiver, 1), len(chain), ctypes.addressof(chain)))
+            made.append(CTransfer(*ends, every.get(t.name.partition(".")[0], 1), len(chain), ctypes.addressof(chain)))
             self._keeping += links, chain
         array = (CTransfer * len(made))(*made)
         self._keeping.append(array)

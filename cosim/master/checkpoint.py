@@ -160,7 +160,8 @@ class Keeper:
                 component.restore(state["components"][component.name])
                 if last == 0 or component.name in master.system.events.get(last, {}):
                     continue  # An event may change outputs after they are recorded.
-                _, outputs = master.places(component)
+                first = master.first_places[0].get(component.name, 0) + len(component.inputs)
+                outputs = slice(first, first + len(component.outputs))
                 master.announce(component, GET)
                 component.get()
                 if _first_difference(np.array([master.row[outputs]]), start.values[last:, outputs]) is not None:

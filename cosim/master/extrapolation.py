@@ -111,7 +111,8 @@ class CourseStep:
         self.old = [t.target for t in system.extrapolated(component.name)]
         self.new = [t.target for t in stage.pulls if system.is_real(t)] if new_degree else []
         self._names = [system.columns[place].partition(".")[2] for place in (*self.old, *self.new)]
-        _, outputs = master.places(component)
+        own = [k for k, column in enumerate(system.columns) if column.partition(".")[0] == component.name]
+        outputs = own[len(component.inputs) :]
         self.answers, row, before = False, self._row, self._row.copy()
         for place in self.new:  # An output may follow an interpolated input without a step.
             row[place] += DISPLACEMENT * max(1.0, abs(row[place]))
@@ -158,7 +159,7 @@ class CourseStep:
             read_again(self.component)
 
 
-def _follows_derivatives(master: Master, stage: Stage, names: Sequence[str], outputs: slice) -> bool:
+def _follows_derivatives(master: Master, stage: Stage, names: Sequence[str], outputs: Sequence[int]) -> bool:
     """Return whether an FMU follows second derivatives of its inputs, seen in two steps that are taken back.
 
     Some FMUs that declare so ignore them. The means of a polynomial make a coupling of second order with any FMU.
@@ -174,7 +175,7 @@ def _follows_derivatives(master: Master, stage: Stage, names: Sequence[str], out
         for size in (0.0, 2.0 * DISPLACEMENT / h**2):
             orders = [0.0] * len(names), [size] * len(names)
             component.step_by_derivatives(names, orders, master.system.start, h)
-            answers.append(master.values[outputs].copy())
+            answers.append(master.values[outputs])
             component.restore_state(state, keep=True)
             master.values[:] = before
     except SimulationError:

@@ -60,7 +60,8 @@ class Part:
         active, takes_parts = master.actives[component.name], takes_part_of_step(stage, master.system.loops)
         self.component, self.every, self.late = component, stage.every, active.late
         self.active = active._replace(late=None, length=0.0 if takes_parts else active.length)
-        self.row, (self.inputs, _) = master.row, master.places(component)
+        first = master.first_places[0].get(component.name, 0)
+        self.row, self.inputs = master.row, slice(first, first + len(component.inputs))
         self.time, self.lead, self.ahead = master.system.start, 0.0, 0
         self.wires: dict[str, list[tuple[Part, str]]] = {}
         self.ticked: list[str] = []
@@ -133,7 +134,7 @@ class Instants(Policy):
         if returning:
             last = set[str]()  # components that step after all that may return early, and those that follow them
             for part, stage in zip(self.parts, master.system.stages, strict=True):
-                if part.rank == REPEATABLE and any(t.sender in last for t in stage.pulls):
+                if part.rank == REPEATABLE and any(t.origin.partition(".")[0] in last for t in stage.pulls):
                     part.rank = LAST
                 if part.rank >= LAST:
                     last.add(part.component.name)
@@ -276,7 +277,7 @@ class Instants(Policy):
         names = tuple(part.component.name for part in parts)
         if names not in self._copies:
             system = self.master.system
-            stages = {stage.name: stage for stage in system.stages}
+            stages = {stage.component.name: stage for stage in system.stages}
             transfers = (t for name in names for t in (*system.held_of[name], *stages[name].transfers))
             self._copies[names] = self.master.copies(transfers)
         self.copies = self._copies[names]

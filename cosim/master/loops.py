@@ -112,15 +112,16 @@ class Member:
 
     def __init__(self, master: Master, component: Any, loop: Loop) -> None:
         self.component, self.row, self.signals = component, master.row, master.values
-        columns, name = master.system.columns, component.name
-        self.inputs = inputs = sorted({t.target for t in loop.transfers if t.receiver == name and not t.beside[1]})
-        self.outputs = outputs = sorted({t.source for t in loop.transfers if t.sender == name and not t.beside[0]})
+        columns = master.system.columns
+        own = {k for k, column in enumerate(columns) if column.partition(".")[0] == component.name}
+        self.inputs = inputs = sorted({t.target for t in loop.transfers if not t.beside[1]} & own)
+        self.outputs = outputs = sorted({t.source for t in loop.transfers if not t.beside[0]} & own)
         self.call = partial(master.announce, component)
         self.declarations = [master.system.signals[column] for column in columns]
         self.variables = [[columns[k].partition(".")[2] for k in ends] for ends in (outputs, inputs)]
         self.nominal, self.declared = dict.fromkeys(inputs, 1.0), set[int]()
-        for k, variable in zip(inputs, self.variables[1], strict=True):
-            if isinstance(component, FmuBlock) and (nominal := component.nominal(variable, default=0.0)) > 0.0:
+        for k, name in zip(inputs, self.variables[1], strict=True):
+            if isinstance(component, FmuBlock) and (nominal := component.nominal(name, default=0.0)) > 0.0:
                 self.nominal[k] = nominal
                 self.declared.add(k)
         self.changes_by_events = getattr(component, "changes_by_events", False)
@@ -219,14 +220,15 @@ class LoopSolver:
         self.settings = system.solving or LoopSettings()
         self.name, self.names, self.last = loop.name, loop.members, loop.members[-1]
         self._transfers, self._columns = loop.transfers, system.columns
-        ends = [(t.sender, t.receiver) for t in loop.transfers]
+        owners = [column.partition(".")[0] for column in system.columns]
+        ends = [(owners[t.source], owners[t.target]) for t in loop.transfers]
         marked = list(zip(loop.transfers, torn(loop.members, ends), strict=True))
         self.back = [t for t, is_back in marked if is_back]
         self.unknowns = [t.target for t in self.back]
-        self._forward = {n: [t for t, is_back in marked if t.receiver == n and not is_back] for n in loop.members}
+        self._forward = {n: [t for t, is_back in marked if owners[t.target] == n and not is_back] for n in loop.members}
         self._into = {name: master.copies(transfers) for name, transfers in self._forward.items()}
         self._to_back = master.copies(self.back)
-        self._known_into = {s.name: master.copies(s.late) for s in system.stages}
+        self._known_into = {s.component.name: master.copies(s.late) for s in system.stages}
         self._functions = master.functions
         self.members = members_of(loop, master)
         nominal = {place: value for member in self.members for place, value in member.nominal.items()}

@@ -161,7 +161,7 @@ class Master:
         self.pacer = None if system.pace is None else Pacer(system.pace, steps, h, rows.doing, progress)
         for stage in system.stages:
             if isinstance(stage.component, FmuBlock):
-                points = [k for k, changes in system.events.items() if stage.name in changes]
+                points = [k for k, changes in system.events.items() if stage.component.name in changes]
                 stage.component.await_inputs([float(self.time[k]) for k in points if k], always=bool(stage.late))
         self.links: dict[str, Sequence[LinkFunction]] = {}  # transfer → conversions of its value
         self.functions: dict[str, Callable[[int, Any], Any]] = {}  # transfer → function that makes these
@@ -317,7 +317,7 @@ class Master:
             if not isinstance(component, EventFmu):  # It is read at the instant.
                 self.announce(component, GET).get()
         if changed and not self.is_compiled:  # C makes its transfers again.
-            due = [stage.name for stage in self.system.stages if k % stage.every == 0]
+            due = [stage.component.name for stage in self.system.stages if k % stage.every == 0]
             self.copies(t for name in due for t in self.system.held_of[name])(k)
 
     def tell(self, k: int) -> None:
@@ -368,12 +368,6 @@ class Master:
 
         return copy
 
-    def places(self, component: Any) -> tuple[slice, slice]:
-        """Return the places of the inputs and of the outputs of a component in the row."""
-        first = self.first_places[0].get(component.name, 0)
-        middle = first + len(component.inputs)
-        return slice(first, middle), slice(middle, middle + len(component.outputs))
-
     def round(self, stages: Sequence[Stage], k: int, held: Collection[str] = (), *, nominal: bool = True) -> Round:
         """Return the steps of stages that are due at point k, and the copies at their end.
 
@@ -381,17 +375,17 @@ class Master:
             held: Components whose held values are copied at any point.
             nominal: Whether components may have steps of nominal length.
         """
-        due = tuple(stage.name for stage in stages if k % stage.every == 0)
+        due = tuple(stage.component.name for stage in stages if k % stage.every == 0)
         key = nominal, tuple(held), due
         if key not in self._rounds:
             copies = self.copies(t for name in (*due, *held) for t in self.system.held_of[name])
             in_loops = {name for loop in self.system.loops for name in loop.members}
             actives = list[Active]()
-            for batch in batches([stage for stage in stages if stage.name in due]):
-                names = [stage.name for stage in batch]
+            for batch in batches([stage for stage in stages if stage.component.name in due]):
+                names = [stage.component.name for stage in batch]
                 some = [self.actives[name] for name in names]
                 some = some if nominal else [active._replace(length=0.0) for active in some]
-                apart = [getattr(s.component, "is_apart", False) and s.name not in in_loops for s in batch]
+                apart = [getattr(s.component, "is_apart", False) and s.component.name not in in_loops for s in batch]
                 if sum(apart) > 1 and cores() > 1 and all(stage.every == 1 for stage in batch):
                     self.together.append(together := Together(some, apart))
                     actives += [Active(active.copy, no_step) for active in some]
@@ -399,7 +393,7 @@ class Master:
                     some = [Active(no_copy, no_step, late=active.late) for active in some if active.late is not None]
                 actives += some
             for stage in self.system.closing:  # Their outputs are read again at the end of the step.
-                if stage.name in due:
+                if stage.component.name in due:
                     copy = self.copies(stage.pulls)
                     actives.append(
                         Active(copy, no_step, late=lambda k, c=stage.component: read_again(self.announce(c)))
@@ -410,7 +404,7 @@ class Master:
     @cached_property
     def actives(self) -> dict[str, Active]:
         """Return the step of each component with the copies around it, once all have started."""
-        return {stage.name: self._active(stage) for stage in self.system.stages}
+        return {stage.component.name: self._active(stage) for stage in self.system.stages}
 
     def _estimate_slopes(self) -> None:
         """Extrapolate the first step by slopes of a step that is taken back, as a coupling of third order needs.
@@ -429,7 +423,7 @@ class Master:
             course.past.add(start - self.h, before[course.old])
 
     def _active(self, stage: Stage) -> Active:
-        component, name, pulls = stage.component, stage.name, self.copies(stage.pulls)
+        component, name, pulls = stage.component, stage.component.name, self.copies(stage.pulls)
         solver = next((solver for solver in self.solvers if name in solver.names), None)
         if solver is not None:  # The last one steps all.
             return Active(pulls, solver.step if name == solver.last else no_step)

@@ -206,12 +206,12 @@ class ControlledSteps(Policy):
 
     def __init__(self, master: Master, control: Control) -> None:
         self.master, self.control, system = master, control, master.system
-        stages = [stage for stage in system.stages if stage.name not in control.at_rows]
-        self._at_rows = [stage for stage in system.stages if stage.name in control.at_rows]
-        self._names = [stage.name for stage in stages]
+        stages = [stage for stage in system.stages if stage.component.name not in control.at_rows]
+        self._at_rows = [stage for stage in system.stages if stage.component.name in control.at_rows]
+        self._names = [stage.component.name for stage in stages]
         self._advance = partial(master.advance, master.round(stages, 1, nominal=False))
         self.fmus = [s.component for s in stages if isinstance(s.component, FmuBlock)]
-        held = (t for t in system.held if t.receiver in self._names)
+        held = (t for t in system.held if t.name.partition(".")[0] in self._names)
         received = {t.target: t.source for t in held if not any(t.beside)}
         self.received, self.sources = {target: k for k, target in enumerate(received)}, list(received.values())
         self.signals, self.outputs = master.values, [*control.outputs]

@@ -140,7 +140,7 @@ def check_events(building: Building, plan: Schedule, apart: Collection[str]) -> 
         return
     loops = {name: loop.name for loop in plan.loops for name in loop.members}
     for stage in plan.stages:
-        name, reason = stage.name, ""
+        name, reason = stage.component.name, ""
         if name in loops:
             reason = f"is part of the algebraic loop {loops[name]}"
         elif not takes_part_of_step(stage):

@@ -39,11 +39,6 @@ class Stage:
     late: tuple[Transfer, ...] = ()
 
     @property
-    def name(self) -> str:
-        """Return the name of the component."""
-        return self.component.name
-
-    @property
     def transfers(self) -> tuple[Transfer, ...]:
         """Return the transfers before and after the step."""
         return *self.pulls, *self.late
@@ -315,14 +310,14 @@ def batches(stages: Sequence[Stage]) -> Iterator[list[Stage]]:
     """
     batch: list[Stage] = []
     for stage in stages:
-        origins = {t.sender for t in stage.pulls}
+        origins = {t.origin.partition(".")[0] for t in stage.pulls}
         of_process = [s.component for s in (*batch, stage) if isinstance(s.component, FmuBlock)]
         fmus = [fmu for fmu in of_process if not fmu.is_apart]
         alone = any(
             f.instance.about.canBeInstantiatedOnlyOncePerProcess or f.instance.about.needsExecutionTool for f in fmus
         )
         shares = any(alone or may_share_data(a.path, b.path) for a, b in combinations(fmus, 2) if stage.component is b)
-        if shares or any(other.name in origins for other in batch):
+        if shares or any(other.component.name in origins for other in batch):
             yield batch
             batch = []
         batch.append(stage)

@@ -70,7 +70,7 @@ class System(Schedule, RowLayout):
     @property
     def names(self) -> list[str]:
         """Return the names of the components in stepping order."""
-        return [stage.name for stage in self.stages]
+        return [stage.component.name for stage in self.stages]
 
     def is_real(self, transfer: Transfer) -> bool:
         """Return whether a transfer has values between any two others, unlike whole numbers and text."""
@@ -81,13 +81,13 @@ class System(Schedule, RowLayout):
         """Return component → the transfers to it at the end of a step."""
         by_name: dict[str, list[Transfer]] = {name: [] for name in self.names}
         for transfer in self.held:
-            by_name[transfer.receiver].append(transfer)
+            by_name[transfer.name.partition(".")[0]].append(transfer)
         return by_name
 
     def extrapolated(self, component: str) -> list[Transfer]:
         """Return the transfers to inputs of a component that are extrapolated during a step."""
         held = self.held_of[component] if self.courses[0] else ()
-        return [t for t in held if self.is_real(t) and t.sender not in self.known]
+        return [t for t in held if self.is_real(t) and t.origin.partition(".")[0] not in self.known]
 
     @cached_property
     def closing(self) -> tuple[Stage, ...]:
@@ -99,11 +99,11 @@ class System(Schedule, RowLayout):
         solved = {name for loop in self.loops for name in loop.members}
         stages, ends = dict[str, Stage](), list[tuple[str, str]]()
         for stage in self.stages:
-            name, component = stage.name, stage.component
+            name, component = stage.component.name, stage.component
             direct = [t for t in self.extrapolated(name) if component.depends_on(t.name.partition(".")[2]) is not False]
             if direct and name not in solved:
                 stages[name] = replace(stage, pulls=tuple(self.held_of[name]), late=())
-                ends += [(t.sender, name) for t in direct]
+                ends += [(t.origin.partition(".")[0], name) for t in direct]
         ordered = sort_groups([*stages], [end for end in ends if end[0] in stages]) if stages else []
         return tuple(stages[name] for group in ordered for name in group)
 

@@ -134,16 +134,6 @@ class Transfer:
     of: str = ""
     sign: tuple[float, float] = (1.0, 0.0)
 
-    @property
-    def sender(self) -> str:
-        """Return the component of the source."""
-        return self.origin.partition(".")[0]
-
-    @property
-    def receiver(self) -> str:
-        """Return the component of the target."""
-        return self.name.partition(".")[0]
-
     def check_item(self, value: Any, t: float) -> None:
         """Raise SimulationError if a value is not an item of the target enumeration."""
         if self.items is not None and value not in self.items.values():
