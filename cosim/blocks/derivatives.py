@@ -11,7 +11,7 @@ import numpy as np
 
 from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.model_exchange import ModelExchange
-from cosim.blocks.solvers import derivatives_of, numbers, set_states
+from cosim.blocks.solvers import derivatives_of, numbers
 from cosim.core.arrays import Array
 from cosim.core.errors import SimulationError
 from cosim.fmi.description import declares_slopes, reals, scalars, states_of
@@ -60,14 +60,14 @@ class DifferentiableFmu(FmuBlock):
         """
         with self.instance.check_calls():
             self.instance.fmu.setTime(t)
-            set_states(self.instance.fmu, states)
+            self.instance.set_states(states)
             self.instance.event(lambda: self._write_reals(self._inputs, inputs))
         return self._vector(self.instance.fmu.getContinuousStates)
 
     def rates(self, states: Array, inputs: Array) -> Array:
         """Return derivatives and outputs in the current mode."""
         with self.instance.check_calls():
-            set_states(self.instance.fmu, states)
+            self.instance.set_states(states)
             self._write_reals(self._inputs, inputs)
         rates = self._vector(derivatives_of(self.instance.fmu))
         return np.concatenate([rates, self._read(self._outputs)])

@@ -104,7 +104,7 @@ class Fixes(Component):
         for rng, saved in zip(self._streams, state["random"], strict=True):
             rng.bit_generator.state = saved
 
-    def slot(self) -> str:
+    def slot(self, cells: Any) -> str:
         """Return the reason why the C loop cannot step this component."""
         return f"{self.name} measures now and then"
 

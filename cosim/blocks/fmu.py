@@ -360,16 +360,22 @@ class FmuBlock(FmuVariables):
 
     # -- stepped by C -------------------------------------------------------------------------
 
-    def slot(self) -> Slot | str:
-        """Return the slot for the C loop, or the reason for none."""
+    def slot(self, cells: Any) -> Slot | str:
+        """Return the slot for the C loop, or the reason for none.
+
+        Args:
+            cells: Values beside the row.
+        """
         instance = self.instance
         if self.nominal_step:
             return f"{self.name} is made of Python, by pythonfmu"
         if type(instance) is not Instance or instance.version == 1:
             return f"{self.name} is of FMI {self.description.fmiVersion} {instance.way}"
+        if any(exchange.kind.ctype is None for exchange in (*self.fed, *self.read)):
+            return f"{self.name} has binary values"
         step = instance.step_function()
-        put = (Move * len(self.fed))(*(move(e.set.func, e, self._row) for e in self.fed))
-        get = (Move * len(self.read))(*(move(e.get.func, e, self._row) for e in self.read))
+        put = (Move * len(self.fed))(*(move(e.set.func, e, self._row, cells) for e in self.fed))
+        get = (Move * len(self.read))(*(move(e.get.func, e, self._row, cells) for e in self.read))
         slot = Slot(instance.version, ctypes.cast(step, ctypes.c_void_p), instance.component, time=instance.time)
         slot.puts, slot.gets, slot.put, slot.get = len(put), len(get), ctypes.addressof(put), ctypes.addressof(get)
         slot.keeping = put, get

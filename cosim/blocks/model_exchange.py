@@ -6,6 +6,7 @@ are requested by the FMU after a solver step. Input changes are events too.
 
 from __future__ import annotations
 
+import ctypes
 import math
 from collections import deque
 from collections.abc import Callable, Sequence
@@ -14,7 +15,8 @@ from pathlib import Path
 from typing import Any
 
 from cosim.blocks.instance import Instance, Step, end_of
-from cosim.blocks.solvers import Solver, SolverFailed, derivatives_of, numbers, set_states, solver
+from cosim.blocks.solvers import DOUBLES, Solver, SolverFailed, derivatives_of, numbers, solver
+from cosim.core.arrays import Array
 from cosim.core.errors import SimulationError
 from cosim.fmi.description import Way
 
@@ -167,8 +169,9 @@ class ModelExchange(Instance):
                 target = event if event < end - close else max(event, end)
             state_event, step_event = self._integrate(target, ULPS * spacing)
             if state_event or step_event or at_event:
-                is_time_event = at_event and self.reached >= target
-                self.cause = "state" if state_event else "time" if is_time_event else "step"
+                self.cause = (
+                    "state" if state_event else "step" if self.reached < target else "time" if at_event else "step"
+                )
                 if self.stops_at_events:
                     return
                 if end - self.reached <= close and (self.awaits_inputs or self._is_changed_at(end, close)):
@@ -266,7 +269,13 @@ class ModelExchange(Instance):
     def _place(self, time: float, states: Sequence[float]) -> None:
         """Set time and continuous states."""
         self.fmu.setTime(time)
-        set_states(self.fmu, states)
+        self.set_states(states)
+
+    def set_states(self, states: Sequence[float] | Array) -> None:
+        """Set the continuous states."""
+        if count := len(states):
+            cells = (ctypes.c_double * count)(*states)
+            self.fmu.setContinuousStates(ctypes.cast(cells, DOUBLES), count)
 
     def _indicators(self, time: float, states: Sequence[float]) -> list[float]:
         """Return the event indicators at a point."""

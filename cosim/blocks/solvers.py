@@ -292,13 +292,6 @@ def numbers(function: Any, count: int) -> list[float]:
     return list(cells)
 
 
-def set_states(fmu: Any, states: Any) -> None:
-    """Set the continuous states of an FMU."""
-    if count := len(states):
-        cells = (ctypes.c_double * count)(*states)
-        fmu.setContinuousStates(ctypes.cast(cells, DOUBLES), count)
-
-
 class SolveIvp:
     """The method Radau of scipy's solve_ivp, step by step."""
 
@@ -367,7 +360,9 @@ class SolveIvp:
 
     def _set(self, t: float, x: Any) -> None:
         self.fmu.setTime(t)
-        set_states(self.fmu, x[: self.states])
+        if self.states:
+            cells = (ctypes.c_double * self.states)(*map(float, x))
+            self.fmu.setContinuousStates(ctypes.cast(cells, DOUBLES), self.states)
 
     def _rates(self, t: float, x: Any) -> list[float]:
         """Return the derivatives; NaN if the FMU discards. Radau then tries a shorter step."""

@@ -24,7 +24,7 @@ typedef void (*Function)(void);
 
 enum { PUT, ADVANCE, GET };                                       /* what is called, as in isolation/rows.py */
 enum { FINISHED, STATUS, NOT_FINITE, UNFIT, NO_ITEM, TERMINATED, PAUSED, LATER, ASKED }; /* why `run` returned */
-enum { DOUBLES, FLOAT32, INT8, UINT8, INT16, UINT16, INT32, UINT32, INT64, BOOL8 };
+enum { DOUBLES, FLOAT32, INT8, UINT8, INT16, UINT16, INT32, UINT32, INT64, BOOL8, BITS64, TEXT };
 enum { TIMED = 4, MOST_TOGETHER = 64 };                           /* first steps to time; slots that step together */
 #define SLOW 50e-6                                                /* shortest step [s] that is worth a thread */
 enum { IN_PYTHON = -1, PREPARED };                                                /* version of slots that are no FMU */
@@ -40,11 +40,19 @@ typedef struct {           /* what becomes of a value on its way, at points firs
     int64_t count;
 } Link;
 
+typedef struct {           /* a value that no double holds: 64 bits, or a text of its own */
+    int64_t is_text;
+    uint64_t bits;
+    char *text;
+} Cell;
+
 typedef struct {           /* a connection; every: points between two transfers */
     const double *from;
     double *to;
     int64_t every, links;
     const Link *link;
+    const Cell *from_cell; /* a connection of such values, otherwise NULL */
+    Cell *to_cell;
 } Transfer;
 
 typedef struct {           /* variables of one type, moved in one call; `values` is their place in the row where they are doubles */
@@ -53,6 +61,7 @@ typedef struct {           /* variables of one type, moved in one call; `values`
     size_t count, scalars;
     void *values;
     double *row, low, high;
+    Cell *cell;            /* of values that no double holds, otherwise NULL */
     size_t finite;         /* so many of the first values got must be finite */
     int32_t type;
 } Move;
@@ -93,6 +102,9 @@ typedef struct {
     volatile int64_t *counter, *doing; /* for observers: number of complete rows, current call */
     const volatile int64_t *asked;     /* not 0: Python is wanted after this step */
     int64_t place;                  /* slot where to go on */
+    Cell *cells;
+    int64_t cell_count;
+    bool changed;                   /* whether a cell has another value than in the last row */
     int64_t threads;                /* that may step slots beside this one */
     void *pool;                     /* of these threads, made when they are needed */
 } Plan;
@@ -139,12 +151,34 @@ static double apply_link(const Link *link, int64_t k, double v, bool *ok)
     return v;
 }
 
-static bool make_transfers(const Transfer *transfers, int64_t count, int64_t k)
+/* Copies a text, or 64 bits; returns whether the value is another one. Without memory a text stays as it is. */
+static bool assign(Cell *cell, const void *value)
+{
+    if (!cell->is_text) {
+        const bool differs = memcmp(&cell->bits, value, sizeof cell->bits) != 0;
+        memcpy(&cell->bits, value, sizeof cell->bits);
+        return differs;
+    }
+    const char *text = value ? value : "";
+    if (cell->text && !strcmp(cell->text, text)) return false;
+    char *copy = malloc(strlen(text) + 1);
+    if (!copy) return false;
+    free(cell->text);
+    cell->text = strcpy(copy, text);
+    return true;
+}
+
+static bool make_transfers(Plan *p, const Transfer *transfers, int64_t count, int64_t k)
 {
     for (int64_t n = 0; n < count; n++) {
         const Transfer *t = &transfers[n];
         bool ok = true;
         if (t->every != 1 && k % t->every) continue;
+        if (t->to_cell) {
+            const Cell *from = t->from_cell;
+            p->changed |= assign(t->to_cell, from->is_text ? (const void *)from->text : &from->bits);
+            continue;
+        }
         double v = *t->from;
         for (int64_t m = 0; m < t->links; m++) v = apply_link(&t->link[m], k, v, &ok);
         *t->to = v;
@@ -160,6 +194,12 @@ static bool make_transfers(const Transfer *transfers, int64_t count, int64_t k)
 static bool encode(const Move *m)
 {
     if (m->type == DOUBLES) return true;
+    if (m->cell) {
+        for (size_t n = 0; n < m->scalars; n++)
+            if (m->type == TEXT) ((const char **)m->values)[n] = m->cell[n].text;
+            else ((uint64_t *)m->values)[n] = m->cell[n].bits;
+        return true;
+    }
     for (size_t n = 0; n < m->scalars; n++)
         if (m->type == FLOAT32) {
             if (fabs(m->row[n]) > m->high) return false;
@@ -179,8 +219,10 @@ static bool encode(const Move *m)
     return true;
 }
 
-static void decode(const Move *m)
+static void decode(Plan *p, const Move *m)
 {
+    for (size_t n = 0; m->cell && n < m->scalars; n++)
+        p->changed |= assign(&m->cell[n], m->type == TEXT ? ((const void **)m->values)[n] : &((uint64_t *)m->values)[n]);
     switch (m->type) {
     case FLOAT32: DECODED(float);
     case INT8: DECODED(int8_t);
@@ -251,7 +293,7 @@ static int go_on(Plan *p, Slot *s, int64_t k, bool ahead)
         s->begin = k == 1 ? p->begin : p->begin + (double)(k - s->every) * p->h;
         s->length = (p->begin + (double)k * p->h) - s->begin;
         s->stepped = false;
-        if (!make_transfers(s->pull, s->pulls, k)) return NO_ITEM;
+        if (!make_transfers(p, s->pull, s->pulls, k)) return NO_ITEM;
         if (s->version == PREPARED) {
             memcpy(s->row, s->prepared + (size_t)(k - s->since) * s->scalars, s->scalars * sizeof(double));
             s->time = s->begin + s->length;
@@ -280,7 +322,7 @@ static int go_on(Plan *p, Slot *s, int64_t k, bool ahead)
         } /* fall through */
     case STEPPED:
         s->time = s->begin + s->length;
-        if (!make_transfers(s->late, s->lates, k)) return NO_ITEM;
+        if (!make_transfers(p, s->late, s->lates, k)) return NO_ITEM;
         s->move = s->lates ? 0 : s->puts;
         s->phase = LATE_PUTS; /* fall through */
     case LATE_PUTS:
@@ -294,7 +336,7 @@ static int go_on(Plan *p, Slot *s, int64_t k, bool ahead)
             s->phase = GOT;
             if (status != 0) return judge(s, GET, status); /* fall through */
     case GOT:
-            decode(&s->get[s->move]);
+            decode(p, &s->get[s->move]);
             if (!all_finite(s->get[s->move].row, s->get[s->move].finite)) return NOT_FINITE;
             s->move++;
             s->phase = GETS;
@@ -394,8 +436,18 @@ static void step_together(Plan *p, Slot *first, int64_t k)
 }
 #endif
 
+/* Another value of a cell, from the caller. */
+void put_cell(Cell *cell, const void *value)
+{
+    assign(cell, value);
+}
+
 void finish(Plan *p)
 {
+    for (int64_t n = 0; n < p->cell_count; n++) {
+        free(p->cells[n].text);
+        p->cells[n].text = NULL;
+    }
 #ifndef _WIN32
     Pool *pool = p->pool;
     if (!pool) return;
@@ -424,7 +476,7 @@ static int make_round(Plan *p, int64_t k)
         s->why = FINISHED;
         if (why != FINISHED || (why = go_on(p, s, k, false)) != FINISHED) return why;
     }
-    if (!make_transfers(p->hold, p->holds, k)) return NO_ITEM;
+    if (!make_transfers(p, p->hold, p->holds, k)) return NO_ITEM;
     return FINISHED;
 }
 
@@ -439,7 +491,7 @@ int run(Plan *p)
         if (p->place <= p->slots) {
             if ((why = make_round(p, k)) != FINISHED) return why;
             p->place = p->slots + 1;
-            if (k == p->pause) return PAUSED;
+            if (k == p->pause || p->changed) return PAUSED;
         }
         memcpy(p->table + k * p->width, p->row, (size_t)p->width * sizeof(double));
         *p->counter = k + 1;

@@ -19,6 +19,7 @@ from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.sources import SourceBlock
 from cosim.blocks.stepping import (
     IN_PYTHON,
+    Cell,
     ConvertedLink,
     NotCompiled,
     Plan,
@@ -30,6 +31,7 @@ from cosim.blocks.stepping import (
 )
 from cosim.blocks.stepping import Transfer as CTransfer
 from cosim.core.arrays import Array
+from cosim.fmi.fmi_types import FMI3
 from cosim.master.observer import MOST_IN_C
 from cosim.system.schedule import batches
 from cosim.system.system import System
@@ -62,8 +64,8 @@ class CompiledSteps:
             raise NotCompiled("asked for")
         if any(system.courses):
             raise NotCompiled("inputs follow polynomials")
-        if system.beside:
-            raise NotCompiled(f"{system.beside[0]} is no number that a double holds")
+        self._types = [FMI3[system.signals[name].kind] for name in system.beside]
+        self._cells = (Cell * len(self._types))(*(Cell(not kind.is_whole) for kind in self._types))
         self.in_python: dict[str, str] = {}  # component → why Python steps it
         self._begin, self._spent_in_python = time.perf_counter(), 0.0  # [s]
         slots: list[Slot] = []
@@ -74,6 +76,8 @@ class CompiledSteps:
             slots.append(slot)
         if self.in_python and not any(slot.version > 0 for slot in slots):
             raise NotCompiled(next(iter(self.in_python.values())))
+        if self.in_python and system.beside:
+            raise NotCompiled(f"{system.beside[0]} is no number that a double holds, and Python steps a component")
         self._library = library()  # compiled only if used
         self._keeping: list[Any] = [slots]  # memory that C uses
         for slot, stage in zip(slots, system.stages, strict=True):
@@ -86,11 +90,13 @@ class CompiledSteps:
             first += count
         self.slots = (Slot * len(slots))(*slots)
         self.plan = plan = Plan(system.start, master.h, slots=len(slots), width=len(master.row), next=master.done)
+        plan.cells, plan.cell_count = ctypes.addressof(self._cells), len(self._cells)
         plan.threads = min(cores(), max(together, default=1)) - 1
         plan.slot = ctypes.addressof(self.slots)
         plan.holds, plan.hold = self._transfers(system.held, {s.component.name: s.every for s in system.stages})
         plan.row, plan.table = ctypes.addressof(master.row), master.table.ctypes.data
         plan.counter, plan.doing, plan.asked = map(address_of, (master.row_count, master.doing, master.asked))
+        self._give_exact()
         master.together.append(self)
 
     def _slot(self, component: Any) -> Slot:
@@ -98,7 +104,7 @@ class CompiledSteps:
         name = component.name
         if not hasattr(component, "slot"):
             raise NotCompiled(f"{name} has a process of its own")
-        slot: Slot | str = component.slot()
+        slot: Slot | str = component.slot(self._cells)
         if any(name in solver.names for solver in self.master.solvers):
             slot = "algebraic loops are solved"
         if isinstance(slot, Slot):
@@ -108,6 +114,11 @@ class CompiledSteps:
         self.in_python[name] = slot
         return Slot(IN_PYTHON)
 
+    def _give_exact(self) -> None:
+        """Give C the values beside the row."""
+        for cell, kind, value in zip(self._cells, self._types, self.master.beside, strict=True):
+            cell.set(kind, value)
+
     def _transfers(
         self, transfers: Iterable[Transfer], every: Mapping[str, int] = MappingProxyType({})
     ) -> tuple[int, int]:
@@ -116,12 +127,18 @@ class CompiledSteps:
         Args:
             every: Component → its step; a held value is transferred when its target steps.
         """
-        first, made = ctypes.addressof(self.master.row), []
+        first, made, signals = ctypes.addressof(self.master.row), [], self.master.system.signals
         for t in transfers:
+            cells = [ctypes.addressof(self._cells[k]) for k in (t.source, t.target)] if all(t.beside) else (None, None)
+            is_other = signals[t.origin].kind != signals[t.name].kind or bool(self.master.links[t.name])
+            if any(t.beside) and (is_other or not all(t.beside)):
+                raise NotCompiled(f"{t.name} has another value than {t.origin}, and no double holds them")
             links = [link.link() for link in self.master.links[t.name]]
             chain = (ConvertedLink * len(links))(*links)
             ends = first + 8 * t.source, first + 8 * t.target
-            made.append(CTransfer(*ends, every.get(t.name.partition(".")[0], 1), len(chain), ctypes.addressof(chain)))
+            made.append(
+                CTransfer(*ends, every.get(t.name.partition(".")[0], 1), len(chain), ctypes.addressof(chain), *cells)
+            )
             self._keeping += links, chain
         array = (CTransfer * len(made))(*made)
         self._keeping.append(array)
@@ -186,11 +203,15 @@ class CompiledSteps:
                 if why == StopReason.FINISHED:
                     break
                 if why == StopReason.PAUSED:
-                    master.change(plan.pause)
-                    # Events may have changed outputs: the held transfers are made again.
-                    plan.place = plan.slots
-                    master.tell(plan.pause)
-                    plan.pause = master.next_call(plan.pause + 1)
+                    master.beside[:] = [cell.value(kind) for cell, kind in zip(self._cells, self._types, strict=True)]
+                    if plan.next == plan.pause:
+                        master.change(plan.pause)
+                        self._give_exact()
+                        # Events may have changed outputs: the held transfers are made again.
+                        plan.place = plan.slots
+                        plan.pause = master.next_call(plan.pause + 1)
+                    master.tell(plan.next)
+                    plan.changed = False
                 elif why == StopReason.LATER:
                     if master.asked[0]:
                         master.keeper.look(master, plan.next - 1)

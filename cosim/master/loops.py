@@ -27,7 +27,7 @@ from cosim.core.arrays import Array, Flags
 from cosim.core.errors import NotFinite, SimulationError
 from cosim.core.times import first_point
 from cosim.isolation.rows import ADVANCE, GET, PUT
-from cosim.master.root_finding import RootFinding
+from cosim.master.root_finding import Outcome, RootFinding
 from cosim.scenario.scenario import LoopSettings
 from cosim.system.schedule import Loop
 from cosim.system.wiring import Transfer
@@ -277,42 +277,8 @@ class LoopSolver:
         is_finite = np.isfinite(slopes).all()
         gain = float(np.max(np.abs(np.linalg.eigvals(slopes)), initial=0.0)) if is_finite else math.inf
         self._roots.slopes = None
-        warnings = []
-        for member in self.members:
-            if not member.inputs or member.changes_by_events:
-                continue
-            member.evaluate()
-            reacts, _ = member.reactions(member.inputs)
-            member.evaluate()
-            name, inputs, fmu = member.component.name, member.variables[1], member.component
-            missing = member.reacts & ~reacts
-            is_declared, has_reacted = any(map(fmu.depends_on, inputs)), bool(reacts.any() or member.reacts.any())
-            is_silent = is_declared and not has_reacted
-            can_repeat = isinstance(fmu, FmuBlock) and fmu.rolls_back
-            member.repeats = can_repeat and bool(missing.any() or is_silent)
-            if not (is_declared or has_reacted):
-                member.late = f"{name} answers no input without a step, and none is declared to act"
-                self._is_warned = True
-                warnings.append(
-                    f"{name}: no output in the algebraic loop {self.name} follows an input without a step, and none is "
-                    "declared to; its outputs are those after a step with the inputs of the step's start. If a step "
-                    f"shows feedthrough, state it (components.{name}.feedthrough: [{', '.join(inputs)}])"
-                )
-            elif is_silent and not can_repeat:
-                member.late = f"{name} answers only after a step and cannot save its state"
-            elif missing.any() and not can_repeat:
-                j, k = (int(each[0]) for each in np.nonzero(missing))
-                cure = "no cure: with values of the step before, they grow"
-                if gain < 1.0:
-                    cure = "a cure: they leave it open, with values of the step before, which settle"
-                raise SimulationError(
-                    name,
-                    self.start,
-                    f"{self._columns[member.outputs[j]]} follows {self._columns[member.inputs[k]]} only after a step, "
-                    f"which cannot be repeated, because the FMU saves no state; so the algebraic loop {self.name} "
-                    f"cannot be solved. order: [...] or algorithm: jacobi is {cure} (the loop gain is {gain:.3g}). The "
-                    "loop needs an FMU that saves and restores its state, or one without direct feedthrough",
-                )
+        members = [m for m in self.members if m.inputs and not m.changes_by_events]
+        warnings = [warning for member in members for warning in self._find_repeats(member, gain)]
         if late := [member for member in self.members if member.late]:
             nominal = dict(sorted(pair for member in late for pair in member.nominal.items()))
             self._delayed = DelayedLoop("; ".join(member.late for member in late), nominal, self._columns)
@@ -418,19 +384,7 @@ class LoopSolver:
         Raises:
             SimulationError: The iterations do not converge.
         """
-        begin, outcome = self.signals[self.unknowns], None
-        shifts = (begin + s * self._roots.scale for k in range(*RANGE) for s in (2.0**k, -(2.0**k)))
-        for start in (begin, *self._guesses, *shifts):
-            if self.method == "newton":
-                outcome = self._roots.newton(self._sweep, start, self._slopes)
-            else:
-                outcome = self._roots.anderson(self._sweep, start)
-            if outcome is not None:
-                break
-            self._roots.slopes = None
-        if outcome is None:
-            assert self._refusal is not None
-            raise self._refusal
+        outcome = self._outcome(self.signals[self.unknowns])
         worst = int(np.argmax(np.abs(outcome.residual) / np.maximum(np.abs(outcome.z), self._roots.scale)))
         value, residual = float(outcome.z[worst]), float(outcome.residual[worst])
         signal, count = self.back[worst].name, outcome.iterations
@@ -449,6 +403,20 @@ class LoopSolver:
             "solve it"
         )
         raise SimulationError("algebraic loop", t, message)
+
+    def _outcome(self, z: Array) -> Outcome:
+        """Return the end of the iterations from z."""
+        shifts = (z + s * self._roots.scale for k in range(*RANGE) for s in (2.0**k, -(2.0**k)))
+        for start in (z, *self._guesses, *shifts):
+            if self.method == "newton":
+                outcome = self._roots.newton(self._sweep, start, self._slopes)
+            else:
+                outcome = self._roots.anderson(self._sweep, start)
+            if outcome is not None:
+                return outcome
+            self._roots.slopes = None
+        assert self._refusal is not None
+        raise self._refusal
 
     def _sweep(self, z: Array) -> Array | None:
         """Return g(z), None where a component refuses its inputs."""
@@ -516,6 +484,46 @@ class LoopSolver:
                     break
         self.signals[member.outputs] = base
         return slopes
+
+    def _find_repeats(self, member: Member, gain: float) -> list[str]:
+        """Note whether steps must be repeated, because outputs follow inputs only after a step; return warnings.
+
+        Args:
+            gain: Loop gain in initialization: the largest growth of a deviation around the loop.
+        """
+        member.evaluate()
+        reacts, _ = member.reactions(member.inputs)
+        member.evaluate()
+        name, inputs, fmu = member.component.name, member.variables[1], member.component
+        missing = member.reacts & ~reacts
+        is_declared, has_reacted = any(map(fmu.depends_on, inputs)), bool(reacts.any() or member.reacts.any())
+        is_silent = is_declared and not has_reacted
+        can_repeat = isinstance(fmu, FmuBlock) and fmu.rolls_back
+        member.repeats = can_repeat and bool(missing.any() or is_silent)
+        if not (is_declared or has_reacted):
+            member.late = f"{name} answers no input without a step, and none is declared to act"
+            self._is_warned = True
+            return [
+                f"{name}: no output in the algebraic loop {self.name} follows an input without a step, and none is "
+                "declared to; its outputs are those after a step with the inputs of the step's start. If a step shows "
+                f"feedthrough, state it (components.{name}.feedthrough: [{', '.join(inputs)}])"
+            ]
+        if is_silent and not can_repeat:
+            member.late = f"{name} answers only after a step and cannot save its state"
+        elif missing.any() and not can_repeat:
+            j, k = (int(each[0]) for each in np.nonzero(missing))
+            cure = "no cure: with values of the step before, they grow"
+            more = ". The loop needs an FMU that saves and restores its state, or one without direct feedthrough"
+            if gain < 1.0:
+                cure, more = "a cure: they leave it open, with values of the step before, which settle", ""
+            raise SimulationError(
+                name,
+                self.start,
+                f"{self._columns[member.outputs[j]]} follows {self._columns[member.inputs[k]]} only after a step, "
+                f"which cannot be repeated, because the FMU saves no state; so the algebraic loop {self.name} cannot "
+                f"be solved. order: [...] or algorithm: jacobi is {cure} (the loop gain is {gain:.3g}){more}",
+            )
+        return []
 
 
 def is_lost(component: Any) -> bool:

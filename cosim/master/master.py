@@ -290,7 +290,7 @@ class Master:
 
     def next_call(self, k: int) -> int:
         """Return the next communication point, from k on, that needs Python in the C loop, or `NEVER`."""
-        if self.pacer is not None or self.beside:
+        if self.pacer is not None or (self.beside and not self.is_compiled):  # C returns when such values change.
             return k
         place = bisect.bisect_left(self.events, k)
         points = self.events[place : place + 1]
@@ -316,9 +316,11 @@ class Master:
             component.change(changes[component.name])
             if not isinstance(component, EventFmu):  # It is read at the instant.
                 self.announce(component, GET).get()
-        if changed and not self.is_compiled:  # C makes its transfers again.
+        if changed:
             due = [stage.component.name for stage in self.system.stages if k % stage.every == 0]
-            self.copies(t for name in due for t in self.system.held_of[name])(k)
+            held = [t for name in due for t in self.system.held_of[name]]
+            # C makes its transfers within the row again.
+            self.copies(t for t in held if not self.is_compiled or any(t.beside))(k)
 
     def tell(self, k: int) -> None:
         """Record exact values, compare repeated rows and report progress before the row of point k is stored."""

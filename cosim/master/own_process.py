@@ -97,11 +97,11 @@ class OwnProcess:
             raise AttributeError(name)
         return getattr(self._component, name)
 
-    def bind(self, row: Row, first: int, beside: list[Any] | None = None, first_beside: int = 0) -> None:
+    def bind(self, row: Row, first: int, beside: list[Any], first_beside: int) -> None:
         """Set the places of the component's signals in the row and in the list of exact values."""
         self._row, self._own = row, slice(first, first + len(self.inputs) + len(self.outputs))
         end = first_beside + len(self.exact_inputs) + len(self.exact_outputs)
-        self._beside, self._own_beside = beside or [], slice(first_beside, end)
+        self._beside, self._own_beside = beside, slice(first_beside, end)
 
     def open(self, start: float, stop: float) -> None:
         """Start the process and load the component."""
@@ -134,7 +134,7 @@ class OwnProcess:
         finally:
             self._remote.worker.end()
 
-    def slot(self) -> str:
+    def slot(self, cells: Any) -> str:
         """Return the reason against the C loop."""
         return f"{self.name} has a process of its own"
 
@@ -178,7 +178,7 @@ class OwnEvents(OwnFmu, EventFmu):
     enter, go, update, leave = _there("enter"), _there("go", ADVANCE), _there("update"), _there("leave")
     ask_for_small_steps = _there("ask_for_small_steps")
 
-    def bind(self, row: Row, first: int, beside: list[Any] | None = None, first_beside: int = 0) -> None:
+    def bind(self, row: Row, first: int, beside: list[Any], first_beside: int) -> None:
         """Set the places of the signals."""
         OwnProcess.bind(self, row, first, beside, first_beside)
         super(OwnProcess, self).bind(row, first, beside, first_beside)
