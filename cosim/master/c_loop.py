@@ -213,7 +213,7 @@ class CompiledSteps:
                     master.tell(plan.next)
                     plan.changed = False
                 elif why == StopReason.LATER:
-                    if master.asked[0]:
+                    if master.asked[0] and master.keeper is not None:
                         master.keeper.look(master, plan.next - 1)
                     plan.pause = master.next_call(plan.next)  # Steps may have become slower.
                 else:

@@ -19,7 +19,6 @@ import time
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
-from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
@@ -148,7 +147,7 @@ class Master:
         self.table, self.row_count, self.doing, self.asked = rows.table, rows.made, rows.doing, rows.asked
         self.time = system.start + h * np.arange(steps + 1, dtype=np.float64)  # counted, not summed
         self.done = 0
-        self.keeper: Keeper = rows.keeper or Keeper(Path(), rows.asked, [0])  # which keeps nothing
+        self.keeper: Keeper | None = rows.keeper
         self.instants: Instants | None = None
         self.controlled: ControlledSteps | None = None
         self.courses: dict[str, CourseStep] = {}  # steps of components whose inputs follow polynomials
@@ -186,11 +185,13 @@ class Master:
             self.tell(0)
             self.table[0] = self.values
             self.done = self.row_count[0] = 1
-            self.keeper.begin(self)
+            if self.keeper is not None:
+                self.keeper.begin(self)
             self._step_on()
-            self.keeper.compare_rows(self, self.done)
-            if self.keeper.interval is not None:
-                self.keeper.save(self, self.done - 1)
+            if self.keeper is not None:
+                self.keeper.compare_rows(self, self.done)
+                if self.keeper.interval is not None:
+                    self.keeper.save(self, self.done - 1)
             hold_stops()  # The rows must be saved.
         except EarlyEnd as end:
             if not self.done:  # before the first row
@@ -217,7 +218,8 @@ class Master:
             reason = f"the disk is full: it has room for {self.done} of {self.steps + 1} rows while the run lasts"
             self.failure = DiskFull("the run", float(self.time[max(0, self.done - 1)]), reason)
         finally:
-            self.keeper.is_over.set()
+            if self.keeper is not None:
+                self.keeper.is_over.set()
             for together in self.together:
                 together.close()
             for component in self.components:
@@ -294,7 +296,7 @@ class Master:
             return k
         place = bisect.bisect_left(self.events, k)
         points = self.events[place : place + 1]
-        if self.keeper.repeated >= k:
+        if self.keeper is not None and self.keeper.repeated >= k:
             points.append(self.keeper.repeated)
         if self.inbox is not None:  # Progress is reported at its looks.
             points.append(self.inbox.next_look(k))
@@ -328,7 +330,8 @@ class Master:
             self._repeat_exact(k)
             self._exact = tuple(self.beside)
             self._repeat_exact(k + 1)
-        self.keeper.compare_rows(self, k)
+        if self.keeper is not None:
+            self.keeper.compare_rows(self, k)
         if self.progress is not None and k and (self.inbox is not None or k % PROGRESS_EVERY == 0):
             self.progress(k)
 
@@ -394,19 +397,23 @@ class Master:
                     actives.append(Active(no_copy, together))
                     some = [Active(no_copy, no_step, late=active.late) for active in some if active.late is not None]
                 actives += some
-            for stage in self.system.closing:  # Their outputs are read again at the end of the step.
-                if stage.component.name in due:
-                    copy = self.copies(stage.pulls)
-                    actives.append(
-                        Active(copy, no_step, late=lambda k, c=stage.component: read_again(self.announce(c)))
-                    )
-            self._rounds[key] = (*actives, Active(copies, no_step))
+            closing = [active for name, active in self.closing.items() if name in due]
+            self._rounds[key] = (*actives, *closing, Active(copies, no_step))
         return self._rounds[key]
 
     @cached_property
     def actives(self) -> dict[str, Active]:
         """Return the step of each component with the copies around it, once all have started."""
         return {stage.component.name: self._active(stage) for stage in self.system.stages}
+
+    @cached_property
+    def closing(self) -> dict[str, Active]:
+        """Return the stages in which outputs are read again at the end of a step."""
+
+        def reading(component: Any) -> Callable[[float, float], None]:
+            return lambda t, h: read_again(self.announce(component, GET))
+
+        return {s.component.name: Active(self.copies(s.pulls), reading(s.component)) for s in self.system.closing}
 
     def _estimate_slopes(self) -> None:
         """Extrapolate the first step by slopes of a step that is taken back, as a coupling of third order needs.

@@ -141,7 +141,7 @@ class Policy:
                 call_point = master.next_call(k + 1)
             table[k] = values
             row_count[0] = k + 1
-            if asked[0]:
+            if asked[0] and master.keeper is not None:
                 master.keeper.look(master, k)
 
     def finish(self) -> None:
