@@ -66,6 +66,12 @@ typedef struct {           /* variables of one type, moved in one call; `values`
     int32_t type;
 } Move;
 
+typedef struct {           /* a polynomial through the last values of inputs, the newest first; see master/extrapolation.py */
+    int64_t degree, inputs, points, room; /* points: so many there are, of `room` */
+    double *const *place;  /* of the inputs in the row */
+    double *times, *values;
+} Course;
+
 /* An FMU; or (PREPARED) values that were prepared, `scalars` for each point from `since` on */
 typedef struct {
     int32_t version;
@@ -80,6 +86,7 @@ typedef struct {
     int64_t since;
     double time;           /* to which it has come */
     double reached;        /* FMI 3.0: what fmi3DoStep says */
+    Course *past, *course; /* of extrapolated and of interpolated inputs, or NULL */
     int64_t phase, move;   /* where to go on */
     int64_t called, moving; /* what was called, with which of its moves, and its status: for Python to judge */
     int64_t batch;         /* so many slots from this one on may step at the same time */
@@ -87,12 +94,13 @@ typedef struct {
     double least;          /* time of the fastest of the first `timed` steps [s] */
     int32_t status, why, timed; /* why: reason for a return, found ahead of its turn */
     bool event, terminate, early;
+    bool again;            /* the inputs of the step's end are put after it */
     bool stepped;          /* in this step */
 } Slot;
 
 typedef struct {
     double begin, h;
-
+    double since, length;  /* of all steps, if `length` is not 0 */
     int64_t slots, holds, width, next, last;
     int64_t pause;         /* Python is asked before the row of this point is kept */
     Slot *slot;
@@ -187,6 +195,43 @@ static bool make_transfers(Plan *p, const Transfer *transfers, int64_t count, in
     return true;
 }
 
+/* Drops points at or after the new one, because a step was taken back. */
+static void add_point(Course *c, double t)
+{
+    const size_t row = (size_t)c->inputs, room = (size_t)c->room;
+    while (c->points && c->times[0] >= t) {
+        c->points--;
+        memmove(c->times, c->times + 1, (room - 1) * sizeof(double));
+        memmove(c->values, c->values + row, (room - 1) * row * sizeof(double));
+    }
+    memmove(c->times + 1, c->times, (room - 1) * sizeof(double));
+    memmove(c->values + row, c->values, (room - 1) * row * sizeof(double));
+    c->times[0] = t;
+    for (size_t n = 0; n < row; n++) c->values[n] = *c->place[n];
+    if (c->points < c->room) c->points++;
+}
+
+/* Into the row, the means from t over h */
+static void put_means(const Course *c, double t, double h)
+{
+    const size_t row = (size_t)c->inputs;
+    const double *time = c->times, ahead = (t - time[0]) + 0.5 * h;
+    for (size_t n = 0; n < row && c->degree && c->points > 1; n++) {
+        const double *v = c->values + n, gap = time[0] - time[1], slope = (v[0] - v[row]) / gap;
+        double mean = v[0] + ahead * slope;
+        if (c->degree > 1 && c->points > 2) {
+            const double before = (v[row] - v[2 * row]) / (time[1] - time[2]);
+            mean = mean + (ahead * (ahead + gap) + h * h / 12.0) * ((slope - before) / (time[0] - time[2]));
+        }
+        *c->place[n] = mean;
+    }
+}
+
+static void put_newest(const Course *c)
+{
+    for (int64_t n = 0; n < c->inputs; n++) *c->place[n] = c->values[n];
+}
+
 #define ENCODED(TYPE) for (size_t n = 0; n < m->scalars; n++) ((TYPE *)m->values)[n] = (TYPE)m->row[n]; break
 #define DECODED(TYPE) for (size_t n = 0; n < m->scalars; n++) m->row[n] = (double)((const TYPE *)m->values)[n]; break
 
@@ -273,7 +318,8 @@ static int put_inputs(const Plan *p, Slot *s)
 static void make_step(Slot *s)
 {
     const double begin = s->timed < TIMED ? seconds() : 0.0;
-    if (s->version == 2) s->status = ((Step2)s->step)(s->instance, s->begin, s->length, 1);
+    if (!s->step) s->status = 0; /* outputs are read again, at the end of a step */
+    else if (s->version == 2) s->status = ((Step2)s->step)(s->instance, s->begin, s->length, 1);
     else
         s->status = ((Step3)s->step)(s->instance, s->begin, s->length, true, &s->event, &s->terminate, &s->early, &s->reached);
     if (s->timed < TIMED) {
@@ -290,19 +336,35 @@ static int go_on(Plan *p, Slot *s, int64_t k, bool ahead)
     int status, why;
     switch (s->phase) {
     case PULLS:
-        s->begin = k == 1 ? p->begin : p->begin + (double)(k - s->every) * p->h;
-        s->length = (p->begin + (double)k * p->h) - s->begin;
+        if (p->length > 0.0) {
+            s->begin = p->since;
+            s->length = p->length;
+        } else {
+            s->begin = k == 1 ? p->begin : p->begin + (double)(k - s->every) * p->h;
+            s->length = (p->begin + (double)k * p->h) - s->begin;
+        }
         s->stepped = false;
+        if (s->course && !s->course->points) add_point(s->course, s->begin);
         if (!make_transfers(p, s->pull, s->pulls, k)) return NO_ITEM;
         if (s->version == PREPARED) {
             memcpy(s->row, s->prepared + (size_t)(k - s->since) * s->scalars, s->scalars * sizeof(double));
             s->time = s->begin + s->length;
             return FINISHED;
         }
+        if (s->past) {
+            add_point(s->past, s->begin);
+            put_means(s->past, s->begin, s->length);
+        }
+        if (s->course) {
+            add_point(s->course, s->begin + s->length);
+            put_means(s->course, s->begin, s->length);
+        }
         s->move = 0;
         s->phase = PUTS; /* fall through */
     case PUTS:
         if ((why = put_inputs(p, s)) != FINISHED) return why;
+        if (s->past) put_newest(s->past);
+        if (s->course) put_newest(s->course);
         s->phase = STEPS; /* fall through */
     case STEPS:
         if (ahead) return FINISHED;
@@ -323,7 +385,7 @@ static int go_on(Plan *p, Slot *s, int64_t k, bool ahead)
     case STEPPED:
         s->time = s->begin + s->length;
         if (!make_transfers(p, s->late, s->lates, k)) return NO_ITEM;
-        s->move = s->lates ? 0 : s->puts;
+        s->move = s->lates || s->again ? 0 : s->puts;
         s->phase = LATE_PUTS; /* fall through */
     case LATE_PUTS:
         if ((why = put_inputs(p, s)) != FINISHED) return why;
@@ -480,6 +542,13 @@ static int make_round(Plan *p, int64_t k)
     return FINISHED;
 }
 
+/* One step of all slots at point `next`, from `since` over `length`, or on from where Python was asked. */
+int step_once(Plan *p)
+{
+    const int why = make_round(p, p->next);
+    if (why == FINISHED) p->place = 0;
+    return why;
+}
 
 /* Until `last`, or until Python is asked: then `place` and the slot's `phase` and `move` tell where, and go on from there. */
 int run(Plan *p)

@@ -108,7 +108,7 @@ class Move(ctypes.Structure):
 class Slot(ctypes.Structure):
     """Data of one stepped component for the loop in C.
 
-    The component is an FMU of FMI `version` 2 or 3. With version 0 it is a
+    The component is an FMU of FMI `version` 2 or 3; without `step` its outputs are read again. With version 0 it is a
     source with `scalars` values prepared for each point, beginning at point `since`. Python steps one with version
     `IN_PYTHON`.
     """
@@ -118,16 +118,24 @@ class Slot(ctypes.Structure):
     _fields_ = _fields(
         "int32 version; pointer step, instance; int64 every, doing, pulls, lates, puts, gets; "
         "pointer pull, late, put, get, prepared, row; size scalars; int64 since; double time, reached; "
-        "int64 phase, move, called, moving, batch; double begin, length, least; "
-        "int32 status, why, timed; bool event, terminate, early, stepped"
+        "pointer past, course; int64 phase, move, called, moving, batch; double begin, length, least; "
+        "int32 status, why, timed; bool event, terminate, early, again, stepped"
     )
+
+
+class Course(ctypes.Structure):
+    """Polynomial through the last values of inputs, `points` of them, the newest first."""
+
+    keeping: Any
+
+    _fields_ = _fields("int64 degree, inputs, points, room; pointer place, times, values")
 
 
 class Plan(ctypes.Structure):
     """Complete state of the C loop."""
 
     _fields_ = _fields(
-        "double begin, h; int64 slots, holds, width, next, last, pause; "
+        "double begin, h, since, length; int64 slots, holds, width, next, last, pause; "
         "pointer slot, hold, row, table, counter, doing, asked; int64 place; pointer cells; "
         "int64 cell_count; bool changed; int64 threads; pointer pool"
     )
@@ -148,7 +156,7 @@ def library() -> Any:
     try:
         loop = load_library(SOURCE.read_text(encoding="utf-8"))
         loop.run.argtypes, loop.run.restype = [ctypes.POINTER(Plan)], ctypes.c_int
-
+        loop.step_once.argtypes, loop.step_once.restype = [ctypes.POINTER(Plan)], ctypes.c_int
         loop.put_cell.argtypes, loop.put_cell.restype = [ctypes.POINTER(Cell), c_void_p], None
         loop.finish.argtypes, loop.finish.restype = [ctypes.POINTER(Plan)], None
     except NoCompiler:

@@ -28,6 +28,7 @@ from cosim.master.remote import MODULES, simulate_in
 from cosim.scenario.scenario_file import ScenarioFile
 from cosim.simulation.manifest import check_pinned
 from cosim.simulation.packaged import lay_out
+from cosim.system.recording import recording_notes
 from cosim.system.system import System, build_system
 
 MAX_CALL_TIME = 60.0  # allowed time [s] of a call during the trial of an FMU
@@ -109,7 +110,8 @@ def _check(file: ScenarioFile, path: Path, worker: Worker | None, warnings: Sequ
         system = with_feedthrough(file, system, worker)
         said = _run_once(file, system, path, worker)
     shown = [text for text in (*system.warnings, *said) if isinstance(text, CheckWarning)]
-    return [*map(with_severity, (*warnings, *shown))]
+    notes = recording_notes(file.scenario, system.columns, system.recording)
+    return [*map(with_severity, (*warnings, *shown, *notes))]
 
 
 def _run_once(file: ScenarioFile, system: System, path: Path, worker: Worker) -> list[str]:

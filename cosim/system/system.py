@@ -12,6 +12,7 @@ from itertools import chain
 from pathlib import Path
 from typing import Any
 
+from cosim.blocks.component import Signal
 from cosim.blocks.coupling import sort_groups
 from cosim.blocks.event_mode import EventFmu
 from cosim.blocks.fixes import Fixes
@@ -32,7 +33,7 @@ from cosim.system.control import Control, control_of
 from cosim.system.events import Events, changes_of, check_events
 from cosim.system.recording import RecordedPart, recorded_part
 from cosim.system.schedule import Schedule, Stage, schedule
-from cosim.system.wiring import Building, RowLayout, Transfer, alias_transfers, connect, connection_warnings
+from cosim.system.wiring import Building, Transfer, alias_transfers, connect, connection_warnings
 
 ROUNDING = 1e-6  # tolerance of the step of sampled FMUs, as a fraction of a step
 MOST_RESULTS = 8e9  # size of results [bytes]
@@ -40,10 +41,11 @@ BYTES = 8  # size of a number [bytes]
 
 
 @dataclass(frozen=True)
-class System(Schedule, RowLayout):
+class System(Schedule):
     """A system ready for the master: its schedule and the layout of its rows.
 
     Attributes:
+        beside: Columns stored outside the row of doubles, for values without exact double.
         events: Communication point → component → values to set.
         apart: Names of components with their own process.
         control: Control of the communication steps, None for equal steps.
@@ -54,10 +56,14 @@ class System(Schedule, RowLayout):
         display: Unit → name of its display unit, factor and offset to its values.
     """
 
+    columns: tuple[str, ...] = ()
+    units: Mapping[str, str] = field(default_factory=dict)
     seed: int = 0
     start: float = 0.0
     warnings: tuple[str, ...] = ()
     fmus: Mapping[str, tuple[Path, Any]] = field(default_factory=dict)
+    beside: tuple[str, ...] = ()
+    signals: Mapping[str, Signal] = field(default_factory=dict)
     events: Events = field(default_factory=dict)
     apart: frozenset[str] = frozenset()
     control: Control | None = None
@@ -210,11 +216,14 @@ def build_system(file: ScenarioFile) -> System:
     scheduled = {**vars(plan), "held": (*plan.held, *of_aliases)}
     return System(
         **scheduled,
-        **vars(layout),
+        columns=layout.columns,
+        units=layout.units,
         seed=scenario.seed,
         start=scenario.start_time,
         warnings=warnings,
         fmus={name: (block.path, block.description) for name, block in blocks.items()},
+        beside=layout.beside,
+        signals=layout.signals,
         events=events,
         apart=scenario.isolated | separated,
         solving=scenario.loops,

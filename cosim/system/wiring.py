@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from array import array
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cache, cached_property
 from itertools import islice
 from typing import Any
@@ -49,11 +49,11 @@ class RowLayout:
         signals: Column → signal.
     """
 
-    columns: tuple[str, ...] = ()
-    units: Mapping[str, str] = field(default_factory=dict)
-    beside: tuple[str, ...] = ()
-    place: Mapping[str, tuple[bool, int]] = field(default_factory=dict)
-    signals: Mapping[str, Signal] = field(default_factory=dict)
+    columns: tuple[str, ...]
+    units: Mapping[str, str]
+    beside: tuple[str, ...]
+    place: Mapping[str, tuple[bool, int]]
+    signals: Mapping[str, Signal]
 
 
 class Building:
@@ -159,13 +159,21 @@ class Transfer:
         if self.sign != (1.0, 0.0):
             chain.append(LinkFunction(LinkKind.AFFINE, a=self.sign[0], b=self.sign[1]))
         if self.items is not None:
-
-            def check(k: int, value: Any) -> None:
-                if k:  # Values may be undefined until initialization ends.
-                    self.check_item(value, start + k * step)
-
-            chain.append(LinkFunction(LinkKind.ITEMS, values=array("d", self.items.values()), check=check))
+            chain.append(_Checked(self, start, step))
         return tuple(chain)
+
+
+class _Checked(LinkFunction):
+    """Check that a value is an item of the target enumeration."""
+
+    def __init__(self, transfer: Transfer, start: float, step: float) -> None:
+        super().__init__(LinkKind.ITEMS, values=array("d", (transfer.items or {}).values()))
+        self.transfer, self.start, self.step = transfer, start, step
+
+    def __call__(self, k: int, v: Any) -> Any:
+        if k:  # Values may be undefined until initialization ends.
+            self.transfer.check_item(v, self.start + k * self.step)
+        return v
 
 
 def through(chain: Sequence[LinkFunction]) -> Callable[[int, Any], Any]:
