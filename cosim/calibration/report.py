@@ -14,7 +14,7 @@ from cosim.calibration.estimate import Estimate
 from cosim.calibration.fit_record import LogEntry, ParameterEntry, Record
 from cosim.calibration.outcome import Part
 from cosim.core.text import MISSING, counted, displayed, join_names, plain, shown_unit, split_sentence
-from cosim.logs.channel_noise import NORMAL_95
+from cosim.logs.log import NORMAL_95
 from cosim.report.charts import Charts, Plot
 from cosim.report.panels import Panel, Trace, signal_panel
 from cosim.report.template import Row, assignments, command, places, render

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from cosim.blocks.fmu import FmuBlock
-from cosim.core.arrays import Array
+from cosim.core.arrays import Array, NamedArrays
 from cosim.core.text import percent
 from cosim.credibility.record import read_credibility
 from cosim.credibility.region import Stretch, distances
@@ -36,7 +36,7 @@ def validities(components: Iterable[Any], results: Results) -> dict[str, dict[st
     return found
 
 
-def validity_of(fmu: Path, time: Array, signals: Mapping[str, Array]) -> dict[str, Any]:
+def validity_of(fmu: Path, time: Array, signals: NamedArrays) -> dict[str, Any]:
     """Return the validity of a run of an FMU for its manifest, empty for an FMU without a record.
 
     Args:
@@ -86,7 +86,7 @@ def validity_warnings(validity: Mapping[str, Validity]) -> list[str]:
     return [f"{name}: {entry['problem']}" for name, entry in validity.items() if entry.get("problem")]
 
 
-def output_panels(name: str, entry: Validity, time: Array, outputs: Mapping[str, Array]) -> list[Panel]:
+def output_panels(name: str, entry: Validity, time: Array, outputs: NamedArrays) -> list[Panel]:
     """Return a panel for each output with a band: the output, its band, and the time outside the region.
 
     Args:

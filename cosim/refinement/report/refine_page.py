@@ -37,7 +37,7 @@ from cosim.estimation.subject.candidates import Candidate, Free
 from cosim.estimation.subject.interface import Subject
 from cosim.files.files import atomic_write, path_from_here
 from cosim.fmi.building.refined import NEAREST, REFINED
-from cosim.logs.channel_noise import NORMAL_95
+from cosim.logs.log import NORMAL_95
 from cosim.refinement.decision.claims import error_text, rounded
 from cosim.refinement.decision.posterior import CERTAIN
 from cosim.refinement.proof.measure import Part, ReplayedLogs
