@@ -260,7 +260,7 @@ def _read(path: Path, about: dict[str, Any]) -> Recording:
 def _write(recording: Recording, folder: Path) -> None:
     with (folder / ROWS).open("wb") as stream:
         for name in (TIME, *recording.units):
-            stream.write(np.ascontiguousarray(recording.column(name)))
+            stream.write(recording.column(name).tobytes())
     texts = [pa.array(values, pa.string()) for values in recording.texts.values()]
     if texts:
         table = pa.table(texts, [*map(str, range(len(texts)))])

@@ -115,11 +115,9 @@ class WorkPage(ServedPage):
         return Json({"ok": True})
 
     def _show_report(self, request: Request, _: Any) -> Response:
-        try:
-            text = self.report.read_text(encoding="utf-8") if self.report is not None else None
-        except OSError:
-            text = None
-        return Json({"error": "not found"}, 404) if text is None else html_response(text, alone=True)
+        if self.report is None:
+            return Json({"error": "not found"}, 404)
+        return html_response(self.report.read_text(encoding="utf-8"), alone=True)
 
     def wait_for_close(self, say: Callable[[str], None], first: float = FIRST_PAGE, reload: float = RELOAD) -> None:
         """Serve until the last page is closed; if the work could not begin, return at once."""

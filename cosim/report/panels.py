@@ -120,9 +120,10 @@ def by_unit(
     spans: dict[str, tuple[float, float]] = {}
 
     def are_visible(chosen: Sequence[str]) -> bool:
-        low, high = zip(*(spans[name] for name in chosen), strict=True)
-        ranges = [b - a for a, b in zip(low, high, strict=True) if b - a > CONSTANT * max(abs(a), abs(b))]
-        return max(high) - min(low) <= WIDEST_RANGES * min(ranges, default=math.inf)
+        ends = [spans[name] for name in chosen]
+        ranges = [high - low for low, high in ends if high - low > CONSTANT * max(abs(low), abs(high))]
+        whole = max(high for _, high in ends) - min(low for low, _ in ends)
+        return whole <= WIDEST_RANGES * min(ranges, default=math.inf)
 
     for name in names:
         spans[name] = extent([values(name)]) or (math.inf, -math.inf)

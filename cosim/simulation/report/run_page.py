@@ -271,7 +271,7 @@ def spelled_values(run: Run) -> list[Row]:
         if name in run.results:
             columns[name] = [items.get(value, f"{value:g}") for value in run.results[name].tolist()]
     rows = []
-    for name, values in islice((columns | run.results.exact).items(), MAX_SPELLED):
+    for name, values in islice({**columns, **run.results.exact}.items(), MAX_SPELLED):
         changes = [k for k in range(min(len(values), run.time.size)) if not k or values[k] != values[k - 1]]
         parts = []
         for k in changes[: MAX_CHANGES + 1]:

@@ -31,7 +31,7 @@ HEAD, LINE, NOTE = 46, 22, 15  # [px] height of a box's head, of a port, of a no
 SLOT, LANE, MARGIN = 13, 15, 24  # [px] between parallel wires, between lanes above and below, around the diagram
 MIN_WIDTH = 150  # [px] of a box
 STYLES = ("diagram.css", "diagram_alone.css")
-Port = tuple[str, str, Sequence[str]]
+Port = tuple[str, str, tuple[str, ...]]
 
 
 @dataclass(frozen=True)
