@@ -182,7 +182,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     manifest = json.dumps({"scenario": {"name": "tank", "components": {}}, "units": {"tank.level": "m"}})
     rows = "time,tank.level,tank.Level\n0,1,5\n1,2,6\n"
     for k, (name, about, text) in enumerate(
-        (("tank/runs/0001", manifest, rows), ("tank", manifest[:20], rows), ("half", manifest, "time,x\n0\n"))
+        (("tank/0001", manifest, rows), ("tank/0002", manifest[:20], rows), ("half", manifest, "time,x\n0\n"))
     ):
         run = tmp_path / "results" / name
         run.mkdir(parents=True, exist_ok=True)
@@ -195,7 +195,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def test_runs_without_names_are_all_that_can_be_read(folder: Path) -> None:
     places, _ = find_runs((), Path("results"))
     runs, warnings = open_runs(places)
-    assert [run.place.name for run in runs] == ["tank/runs/0001", "tank"]
+    assert [run.place.name for run in runs] == ["tank/0001", "tank"]
     assert len(warnings) == 2  # the torn manifest of tank, and half is left out
     assert runs[0].rows.units == {"tank.level": "m", "tank.Level": ""}  # names that differ in case only
 

@@ -103,8 +103,8 @@ def evaluate(text: str, signals: Mapping[str, tuple[Recording, str]], name: str 
                 count = 2 if function in BINARY or function == "lowpass" else 1
                 if len(arguments) != count:
                     refuse(f"{function} takes {counted(count, 'argument')}")
-                values = [value(each) for each in arguments]
-                return PLAIN[function](*values) if function in PLAIN else over_time(function, *values)
+                numbers = [value(each) for each in arguments]
+                return PLAIN[function](*numbers) if function in PLAIN else over_time(function, *numbers)
         return refuse(f"{ast.unparse(node)} is not allowed")
 
     def over_time(function: str, values: Any, *constants: Any) -> Array:

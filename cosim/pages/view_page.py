@@ -6,6 +6,7 @@ import math
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from itertools import count
 from pathlib import Path
 from typing import Any, TypeVar
@@ -81,7 +82,7 @@ class Viewer:
             "POST /derive": self._derive,
             "POST /layouts": self._save_layout,
             "GET /export.csv": self._export,
-            **{f"POST /{f.__name__[1:]}": lambda _, content, f=f: f(_read(Wanted, content)) for f in data},
+            **{f"POST /{f.__name__[1:]}": partial(_of_request, f) for f in data},
         }
 
     def state(self) -> dict[str, Any]:
@@ -301,6 +302,10 @@ def _arrays(read: Callable[..., list[Array]], curves: Sequence[Sequence[Any]]) -
     """Return the arrays that a function reads of each curve, as doubles."""
     body = b"".join(np.ascontiguousarray(part, "<f8").tobytes() for curve in curves for part in read(*curve))
     return Response(body, media_type="application/octet-stream")
+
+
+def _of_request(handle: Callable[[Wanted], Response], request: Request, content: Any) -> Response:
+    return handle(_read(Wanted, content))
 
 
 def _read(kind: type[M], content: Any) -> M:

@@ -315,7 +315,7 @@ def _parameter_row(r: Refinement, free: Free, h: Hypothesis) -> dict[str, Any]:
     }
 
 
-def per_log_rows(r: Refinement) -> list[tuple[str, ...]]:
+def per_log_rows(r: Refinement) -> list[tuple[Any, ...]]:
     """Return a row for each parameter per log and group, fitted values first."""
     rows = []
     for name, entry in r.record["per_log"].items():
