@@ -18,9 +18,9 @@ from cosim.core.arrays import Array
 from cosim.files.results import Results
 from cosim.report.charts import Charts
 from cosim.report.panels import Panel, Trace
-from cosim.simulation.report import write_figures, write_report
+from cosim.simulation.report.figures import write_figures
 from cosim.simulation.report.recorded import Run
-from cosim.simulation.report.run_page import judged_panels
+from cosim.simulation.report.run_page import judged_panels, write_report
 from fmus.report.craft import find_crafts, reference_track, responses, saturation, true_track
 from tests.seen import faults
 

@@ -15,7 +15,7 @@ from cosim.files.results import Results
 from cosim.report.charts import Charts, decimals_of
 from cosim.report.panels import Panel, Trace
 from cosim.report.template import render
-from cosim.simulation.report import write_report
+from cosim.simulation.report.run_page import write_report
 from tests.seen import CHROMIUM
 from tests.test_live_browser import browser, opened
 

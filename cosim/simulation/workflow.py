@@ -368,7 +368,7 @@ def _write_files(
             write_durable(kept / STATE, state)
         release_stops()
         if any(pages.values()):
-            from cosim.simulation.report import write_pages
+            from cosim.simulation.report.figures import write_pages
 
             write_pages(rows.parent, results, record, **pages)
     except OSError as error:

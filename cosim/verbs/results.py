@@ -184,7 +184,7 @@ def report_command(folder: Path, *, figures: bool = False, open: bool = False, j
     """
     from cosim.files.kinds import check_given
     from cosim.files.results import rows_in
-    from cosim.simulation.report import write_pages
+    from cosim.simulation.report.figures import write_pages
     from cosim.simulation.run_signals import read_ran
 
     path = newest_run(folder)

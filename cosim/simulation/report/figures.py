@@ -12,7 +12,7 @@ from cosim.core.text import showing
 from cosim.files.results import Results
 from cosim.report.cell.cell import new_figure
 from cosim.report.panels import Panel
-from cosim.simulation.report.run_page import drawable_run, signal_panels
+from cosim.simulation.report.run_page import drawable_run, signal_panels, write_report
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -32,6 +32,16 @@ LINES: dict[str, tuple[str, str, float]] = {
 }
 PANELS_A_FIGURE = 8
 LONGEST_LABEL = 48  # characters, so that titles and legends leave room for the curves
+
+
+def write_pages(
+    folder: Path, results: Results, manifest: Mapping[str, Any], *, report: bool = True, figures: bool = False
+) -> None:
+    """Write the report and the figures of a run into its folder."""
+    if report:
+        write_report(folder / "report.html", results, manifest)
+    if figures:
+        write_figures(folder / "figures", results, manifest)
 
 
 def write_figures(folder: Path, results: Results, manifest: Mapping[str, Any]) -> list[Path]:
