@@ -26,7 +26,6 @@ from pyarrow import feather
 from cosim.core.arrays import Array, Rows
 from cosim.core.errors import InputError
 from cosim.core.messages import printable
-from cosim.core.scratch import process_folder
 from cosim.files.cache import cache_folder
 from cosim.files.files import scratch_folder
 from cosim.files.folders import content_of
@@ -221,9 +220,6 @@ def open_rows(path: Path, **about: Any) -> Recording:
             draft = folder / place.name
             draft.mkdir()
             _write(_read(path, about), draft)
-            if _key(path, path.stat(), about) != place.name:  # the file has changed since the key was computed
-                place = process_folder() / FOLDER / place.name
-                place.parent.mkdir(exist_ok=True)
             shutil.rmtree(place, ignore_errors=True)
             with suppress(OSError):  # Another command was faster.
                 shutil.move(draft, place)

@@ -96,8 +96,7 @@ def band_sentence(craft: Craft) -> str | None:
     """Return the shares of rows within the estimator's ±2σ band."""
     parts = []
     for variable in ("x", "psi"):
-        share = inside_band(craft, variable)
-        if math.isfinite(share):
+        if math.isfinite(share := inside_band(craft, variable)):
             parts.append(f"{SYMBOLS[variable]} is within ±2σ of its estimate in {percent(share)} of the rows")
     return f"{', '.join(parts)}; about 95 % is expected for a consistent filter." if parts else None
 
