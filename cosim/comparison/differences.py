@@ -256,14 +256,9 @@ class Compared:
     absolute: float
 
     @property
-    def ranking(self) -> list[Difference]:
-        """Return all signals, largest share first."""
-        return sorted(self.differences, key=lambda d: -d.share)
-
-    @property
     def beyond(self) -> list[Difference]:
         """Return signals beyond the tolerance, largest share first."""
-        return [d for d in self.ranking if d.beyond]
+        return sorted((d for d in self.differences if d.beyond), key=lambda d: -d.share)
 
     @property
     def judged(self) -> bool:
