@@ -131,6 +131,12 @@
     place(row) {
       return `${this.symbol} = ${this.text(row)}${this.suffix}`;
     }
+    // begin where something can be read
+    start() {
+      const every = this.charts.flatMap((chart) => chart.curves.filter((c) => !c.x));
+      const row = this.v.findLastIndex((_, k) => every.every(({ values }) => !Number.isNaN(values[k])));
+      return row < 0 ? this.nearest : row;
+    }
     // isRead: name the row at the foot of the page, while a chart is read
     to(row, isRead = false) {
       this.nearest = row;
@@ -429,7 +435,7 @@
     const spec = page.charts[figure.dataset.chart];
     groups[spec.group].add(figure, spec).isStale = true;
   }
-  for (const group of groups) if (group.v.length && group.charts.length) group.to(group.nearest);
+  for (const group of groups) if (group.v.length && group.charts.length) group.to(group.start());
   if (play) {
     for (const element of all(".controls, .keys")) element.hidden = false;
     play.addEventListener("click", () => setPlaying(!playing));
