@@ -78,8 +78,12 @@ def delays(log: Log, model: NamedArrays) -> Iterator[Finding]:
     for name, (time, error, _, frequency) in estimates.items():
         if frequency < 0.6 * fastest or abs(time) < max(4.0 * error, 0.4 * log.step):
             continue
-        confirmed = _same_when_faster(log, log.outputs[name], model[name], estimates[name])
-        if confirmed is False:
+        # A wrong friction or inertia causes a delay that depends on the frequency: is that of fast changes the same?
+        rows = max(1, round(0.1 * SLOW * log.slowness / log.step))
+        changes = (np.append(np.full(rows, np.nan), y[rows:] - y[:-rows]) for y in (log.outputs[name], model[name]))
+        fast = delay(log, *changes)
+        confirmed = fast is not None and fast.frequency >= FASTER * frequency
+        if fast is not None and confirmed and not abs(fast.time - time) < max(0.3 * abs(time), 3.0 * fast.error):
             continue
         serious, (direction, cause) = confirmed and abs(time) > log.step, DIRECTIONS[time > 0]
         doubt = "or different clocks" if confirmed else REGULAR
@@ -221,19 +225,6 @@ def delay(log: Log, measured: Array, model: Array) -> MeasuredDelay | None:
     error = size / slope * math.sqrt(max(0.0, 1.0 / float(rho[k]) ** 2 - 1.0) / independent)
     error = max(error, 0.02 * log.step)  # limit of the parabola's accuracy
     return MeasuredDelay((k - lags + float(top)) * log.step, error, float(rho[k]), slope / size)
-
-
-def _same_when_faster(log: Log, measured: Array, model: Array, slow: MeasuredDelay) -> bool | None:
-    """Return True if fast changes have the same delay as slow ones; None without fast changes.
-
-    A wrong friction or inertia causes a frequency-dependent delay.
-    """
-    rows = max(1, round(0.1 * SLOW * log.slowness / log.step))
-    changes = (np.concatenate((np.full(rows, np.nan), y[rows:] - y[:-rows])) for y in (measured, model))
-    fast = delay(log, *changes)
-    if fast is None or fast.frequency < FASTER * slow.frequency:
-        return None
-    return abs(fast.time - slow.time) < max(0.3 * abs(slow.time), 3.0 * fast.error)
 
 
 def moving_part(log: Log, values: Array) -> Array:
