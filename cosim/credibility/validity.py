@@ -11,11 +11,11 @@ import numpy as np
 
 from cosim.blocks.fmu import FmuBlock
 from cosim.core.arrays import Array, NamedArrays
-from cosim.core.text import displayed, percent
+from cosim.core.text import percent
 from cosim.credibility.record import read_credibility
 from cosim.credibility.region import Stretch, distances
 from cosim.files.results import Results
-from cosim.report.panels import Band, Panel, Trace, axis_unit
+from cosim.report.panels import Panel, signal_panel
 
 Validity = Mapping[str, Any]
 
@@ -99,9 +99,8 @@ def output_panels(name: str, entry: Validity, time: Array, outputs: NamedArrays)
             continue
         half = band_of(entry, output, time - time[:1])
         unit = str(bands["units"].get(output) or "")
-        band = Band(f"{level} of the errors", displayed(values - half, unit), displayed(values + half, unit))
-        trace = Trace(output, displayed(values, unit), "true")
-        panels.append(Panel(f"{name}.{output}", axis_unit(unit), [trace], band, outside=outside_of(entry)))
+        lines, band = [(output, values, "true")], (f"{level} of the errors", values - half, values + half)
+        panels.append(signal_panel(f"{name}.{output}", unit, lines, band, outside=outside_of(entry)))
     return panels
 
 

@@ -34,7 +34,6 @@ from cosim.files.folders import (
     REPLAY,
     SCHEMA_VERSION,
     content_of,
-    describe_run,
     name_of_file,
     remove_earlier,
     results_in,
@@ -51,12 +50,11 @@ from cosim.isolation.process import Worker
 from cosim.logs.gate import gate, outliers, refuse_faults
 from cosim.logs.log import SENSORS, Finding, read_column_names
 from cosim.logs.spikes import find_spikes
-from cosim.report.template import render
 from cosim.residuals.compare import Comparison, compare, sentence, steps_of, verdict
 from cosim.residuals.drive import MODULES, PLANT, Drive, as_columns, drive_in, log_of_fmu, start_values
 from cosim.residuals.log_region import signals_along
 from cosim.residuals.replay_signals import Replay, read_replay
-from cosim.residuals.report import TEMPLATE, context
+from cosim.residuals.report import page
 from cosim.residuals.residual_statistics import FREE_RUN
 from cosim.residuals.windows import Replay as Replayed
 from cosim.residuals.windows import free_run
@@ -144,7 +142,6 @@ def replay(
         remove_earlier(place, read=(path, driven))
         sources: dict[str, Any] = {"log": str(path), "fmu": str(driven) if fmu else ""}
         sources |= {"start": dict(given)} if given else {}
-        describe_run(place, sources)
         free = _free_run(drive, rows_file)
         try:
             release_stops()
@@ -164,8 +161,8 @@ def replay(
             if not claimed and answer["verdict"] != "explained":
                 write_text(next_study, _next_study(place, driven if fmu else None, path, names, values))
             if report and out is not None:
-                values_of_page = context(comparison, next_study, validity, passing=fmu is None)
-                write_text(place / "report.html", render(TEMPLATE, values_of_page))
+                text = page(comparison, next_study, validity, passing=fmu is None)
+                write_text(place / "report.html", text)
         except (KeyboardInterrupt, Terminated) as stop:  # all rows of the free run are written
             ended = stop_error(stop, float(measured.time[-1]), "the comparison")
             ended.left = place
