@@ -101,8 +101,6 @@ class ViewedRun:
             frozenset(manifest.get("texts", ())),
         )
         rows = open_rows(self.place.file, columns, progress)
-        if self.place.entry is not None and not self._due:
-            self.place.entry.check_current()
         self.notes = [*warnings_on(folder), *map(Note, rows.assumed)]
         for names, text in (
             (rows.rounded, "drawn as the nearest double; the cursor shows all digits"),

@@ -13,14 +13,12 @@ from operator import getitem
 from pathlib import Path, PureWindowsPath
 from typing import Any
 
-from pydantic import ValidationError
-
 from cosim.core.errors import Fault, InputError
 from cosim.core.text import did_you_mean
 from cosim.files.artefact import MANIFEST, SCENARIO, kind_by_keys
 from cosim.files.folders import other_version
 from cosim.files.kinds import check_form, refuse_other
-from cosim.files.yaml_file import Document, Location, NotYaml, Origin, YamlFile, location_in, remove_part, short
+from cosim.files.yaml_file import Document, Location, NotYaml, Origin, YamlFile, remove_part, short
 from cosim.scenario.scenario import Component, FmuComponent, Recording, Scenario, ValidCriterion
 from cosim.scenario.start_values import STAND_IN, waiting_texts
 
@@ -96,25 +94,13 @@ class ScenarioFile:
         self.broken, self.stands_in = set[str](), False  # True if name, duration or step were replaced
         lists = {key: data[key] if isinstance(data.get(key), list) else () for key in LISTS}
         self.places = {key: list(range(len(entries))) for key, entries in lists.items()}
-        try:
-            self.scenario = self.yaml.validate(Scenario, data)
-            return []
-        except InputError as error:
-            faults = [*error.faults]
-        data = copy.deepcopy(data)
-        for _ in range(5):  # The remainder may lack a required key.
-            try:
-                self.scenario = Scenario.model_validate(data)
-                return faults
-            except ValidationError as error:
-                found = error.errors(include_url=False)
-                self._drop(data, [location_in(data, e["loc"], e["type"]) for e in found])
-        raise InputError(faults)
+        self.scenario, faults = self.yaml.partly(Scenario, data=data, remove=self._drop)
+        return faults
 
-    def _drop(self, data: dict[str, Any], locations: Sequence[Location]) -> None:
-        """Remove the smallest part around each location, so that the rest can be checked."""
+    def _drop(self, data: dict[str, Any], places: Sequence[tuple[Location, str]]) -> None:
+        """Remove the smallest part around each fault, so that the rest can be checked."""
         entries: dict[Any, set[Any]] = {}
-        for first, *rest in filter(None, locations):
+        for (first, *rest), _ in places:
             if first in STAND_INS:
                 data |= STAND_INS
                 self.stands_in = True
