@@ -25,7 +25,7 @@ from cosim.core.units import read_quantity
 P = ParamSpec("P")
 T = TypeVar("T")
 DEEPEST = 60  # maximum nesting of arguments, above that of any file read here
-MOST_ITEMS = 4096  # of a list whose items are converted
+LONGEST_NAME, LONGEST_PATH = 255, 4096  # limits of file systems [bytes]
 SHOWN = 60  # characters of a value in a message
 
 
@@ -45,7 +45,7 @@ def of_python(value: Any) -> Any:
         if re.search("[\0\ud800-\udfff]", text):
             raise ValueError("it contains a NUL character or half a surrogate pair; use valid Unicode text")
         return str.__str__(value) if isinstance(value, str) else Path(text)
-    return [*map(of_python, value)] if type(value) in (list, tuple) and len(value) < MOST_ITEMS else value
+    return [*map(of_python, value)] if type(value) in (list, tuple) and len(value) < LONGEST_PATH else value
 
 
 def plain(value: Any, depth: int = 0) -> Any:
@@ -80,6 +80,8 @@ def _file(value: Any) -> Any:
         raise ValueError("give the name of a file or folder")
     if not name.strip():
         raise ValueError("it is empty; give the name of a file or folder")
+    if len(name.encode()) > LONGEST_PATH or any(len(part.encode()) > LONGEST_NAME for part in re.split(r"[/\\]", name)):
+        raise ValueError(f"it is longer than a file name can be ({LONGEST_NAME} bytes)")
     return value
 
 

@@ -214,7 +214,7 @@ def _free_run(drive: Drive, file: Path) -> Replayed:
 
 
 def _write_rows(rows: Results, file: Path) -> None:
-    """Write the rows, with units in replay.json; raise DiskFull after a partial write."""
+    """Write the rows, with units in replay.json; raise DiskFull if they do not fit."""
     try:
         content = {"schema_version": SCHEMA_VERSION, "status": "stopped", "units": dict(rows.units)}
         write_json(file.with_name(REPLAY), content, indent=1)  # rewritten at the end
@@ -222,13 +222,8 @@ def _write_rows(rows: Results, file: Path) -> None:
     except OSError as error:
         if not is_full(error):
             raise
-        try:
-            file.unlink(missing_ok=True)  # an earlier file, whose space is needed
-            count = rows.write_what_fits(file)
-        except OSError:
-            count = 0
-        reason = f"the disk is full: {count} of {len(rows.time)} rows are in {file.name}"
-        raise DiskFull("the replay", rows.time[max(0, count - 1)].item(), reason) from None
+        end = rows.time[-1].item() if len(rows.time) else 0.0
+        raise DiskFull("the replay", end, f"the disk is full: the rows do not fit into {file.name}") from None
 
 
 def _next_study(folder: Path, fmu: Path | None, log: Path, columns: Mapping[str, str], start: Sequence[str]) -> str:
