@@ -84,19 +84,6 @@ class Csv(Source):
 CSV = Csv()
 
 
-def read_heading(path: Path, names: Container[str] = ()) -> tuple[list[tuple[str, str]], int]:
-    """Return names and units of the columns, and the number of lines down to the header.
-
-    Raises:
-        ValueError: The cells are not separated by commas, or there is no header.
-    """
-    with open_bytes(path) as stream:
-        header, line, mark = _header(stream)
-    if not header or mark != ",":
-        raise ValueError("the header is not CSV")
-    return [split_heading(cell, names) for cell in header], line
-
-
 def _header(stream: BinaryIO) -> tuple[list[str], int, str]:
     """Return the cells of the first line with text, its number, and the separator of the cells."""
     text = io.TextIOWrapper(stream, encoding="utf-8-sig", errors="replace", newline="")

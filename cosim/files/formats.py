@@ -65,7 +65,9 @@ class Parquet(Source):
             raise InputError.at(path, f"is an incomplete or invalid Parquet file: {reason}; write it again") from None
         found: list[Column] = []
         for k in _order(content.schema):
-            name, unit = heading_of(content.schema.field(k), names)
+            field = content.schema.field(k)
+            unit = (field.metadata or {}).get(UNIT)  # without it, the name may be `name [unit]`
+            name, unit = split_heading(field.name, names) if unit is None else (field.name, unit.decode())
             found.append(_column(name, unit, content.column(k), is_text=name in text))
         if found and UNNAMED.fullmatch(found[0].name):  # Whole numbers may be row numbers.
             is_whole = found[0].numeric and np.asarray(found[0].values).dtype.kind == "i"
@@ -100,12 +102,6 @@ class Parquet(Source):
 
 
 PARQUET = Parquet()
-
-
-def heading_of(field: Any, names: Container[str] = ()) -> tuple[str, str]:
-    """Return name and unit of a field; without a unit in the metadata, the name may be `name [unit]`."""
-    unit = (field.metadata or {}).get(UNIT)
-    return split_heading(field.name, names) if unit is None else (field.name, unit.decode())
 
 
 def _order(schema: Any) -> list[int]:

@@ -73,7 +73,7 @@ def check_fmu(path: Path, checking: Checking) -> list[str]:
     if problem := read_credibility(path).problem:
         notes.append(f"warning: {problem}")
     # FMPy's findings are about a readable FMU, as accepted by importing tools.
-    return notes + [f"warning: {problem}" for problem in validation(path)]
+    return notes + [f"warning: {problem}" for problem in validation(path, description)]
 
 
 def check_scenario(path: Path, checking: Checking) -> list[str]:

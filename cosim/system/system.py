@@ -25,7 +25,7 @@ from cosim.core.text import DisplayUnits, did_you_mean
 from cosim.core.units import alternatives, conversion
 from cosim.credibility.record import Found, read_credibility
 from cosim.fmi.description import display_units
-from cosim.fmi.sampled import sampled_by
+from cosim.fmi.model_description import sampled_by
 from cosim.scenario.scenario import LoopSettings
 from cosim.scenario.scenario_file import Place, ScenarioFile
 from cosim.system.components import build_components

@@ -219,7 +219,7 @@ def refine_command(
     say(*table(("probability", "missing parts", "held-out error", "sealed error", "outcome"), rows[:MAX_CLASSES]))
     if OUTPUT.verbose and answer.details:
         say(answer.details)
-    say(f"next: {answer.command or answer.step}")
+    say(f"next: {answer.step} {answer.command}".rstrip())
     say(f"results: {place} ({', '.join(file for file in REFINE_FILES if (place / file).is_file())})")
     if json:
         answers = {key: record[key] for key in ("verdict", "sentence", "effects", "rivals", "error") if key in record}

@@ -330,7 +330,8 @@ def view_command(
     layouts = Layouts(layout or root / LAYOUTS)
     named = read_column_names(columns or (), Path((runs or ["--column"])[0]))
     places, notes = find_runs(runs or (), root, named)
-    opened, warnings = open_runs(places, progress_bar)
+    with progress_bar() as show:
+        opened, warnings = open_runs(places, show)
     warn(*notes, *warnings)
     labels = [run.place.label for run in opened]
     signals, rows = sum(len({*r.rows.units, *r.rows.texts}) for r in opened), sum(r.rows.rows for r in opened)
