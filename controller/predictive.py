@@ -16,7 +16,7 @@ from scipy.linalg import solve_discrete_are
 from controller.design_model import PLANT_INPUTS, Matrix, discretize, full_model
 from controller.loop import Law, LawInput
 from controller.observers import NAMES, PREDICTED, Estimator, ExtendedFilter, HoverFilter, Slopes, level_tilt
-from controller.settings import PLANT_STATES, Floats, Numbers, PredictionSettings, craft_of
+from controller.settings import PLANT_STATES, Floats, Numbers, craft_of
 from cosim.model.namespaces import arrays
 
 COMMANDS = len(PLANT_INPUTS)

@@ -35,13 +35,13 @@ RUN_PAGE = Page(
     figures="fmus.report.png_figures:figures",
 )
 IDENTIFY = Verb(
-    command="plant.identification.command:command",
+    command="fmus.commands:identify_command",
     function="plant.identification.workflow:identify",
     artefacts="plant.identification:ARTEFACTS",
     group="Craft example",
 )
 CONSISTENCY = Verb(
-    command="controller.consistency_verb:command",
+    command="fmus.commands:consistency_command",
     function="controller.consistency:consistency",
     artefacts="fmus.registered:ARTEFACTS",
     group="Craft example",
