@@ -32,11 +32,9 @@ from cosim.core.arrays import Array
 from cosim.core.errors import Fault, InputError, refuse
 from cosim.core.settings import Count, Seed
 from cosim.core.text import counted, percent, plain
-from cosim.core.version import __version__
 from cosim.model import Moment, Stepper
 from cosim.model.namespaces import arrays
 from cosim.report.charts import Charts, Plot
-from cosim.report.html_tables import Badge
 from cosim.report.panels import Band, Panel, Trace
 from cosim.report.template import render
 from plant.hovercraft import Hovercraft
@@ -436,17 +434,16 @@ def page(rows: Sequence[ConsistencyRow], steps: int, seed: int) -> str:
     return render(
         TEMPLATE,
         {
-            "badges": [Badge(f"{counted(runs, 'run')} of {counted(steps, 'sample')} each"), Badge(f"seed {seed}")],
+            "badges": [f"{counted(runs, 'run')} of {counted(steps, 'sample')} each", f"seed {seed}"],
             "headline": headline(rows),
             "tone": "good" if all(common_verdict(case) == CONSISTENT for case in cases) else "bad",
             "flights": list(flights.items()),
             "judged": [{"case": name, "flights": list(of.values())} for name, of in judged.items()],
             "rows": [{**row.as_text(), "good": row.result.verdict == CONSISTENT} for row in rows],
             "cases": [(f"{case[0].case}; {case[0].flight}", [_plot(row, charts) for row in case]) for case in cases],
-            "data": charts.data(),  # after all drawings
             "repeat": f"cosim consistency --runs {runs} --steps {steps} --seed {seed}",
-            "version": __version__,
         },
+        charts,
     )
 
 
