@@ -279,6 +279,9 @@ def test_a_full_disk_ends_a_run_and_keeps_the_rows_that_fit(tmp_path: Path, size
     path = deeds_scenario(tmp_path, "none", "none", duration=500.0)
     with full_disk(size), pytest.raises(CosimError) as stopped:
         run(path, tmp_path / "out")
+    assert stopped.value.exit_code == 4
+    if size == 100_000:
+        return  # It ends before the first step.
     kept = rows_in(tmp_path / "out")
     assert 500 < kept < 5001
     assert f"{kept} of 5001 rows" in str(stopped.value)

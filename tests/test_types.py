@@ -136,7 +136,7 @@ def test_the_tolerance_is_the_components_else_the_scenarios_else_that_of_the_fmu
     ("old", "new", "interface", "words"),
     [
         ("<CoSimulation", "<ScheduledExecution", "co-simulation", "offers scheduled-execution only"),
-        ('fmiVersion="3.0"', 'fmiVersion="3.0-beta.3"', "co-simulation", "is FMI 3.0-beta.3 for co-simulation"),
+        ('fmiVersion="3.0"', 'fmiVersion="3.0-beta.3"', "co-simulation", "is FMI 3.0-beta.3"),
         ("typed", "typed", "model-exchange", "offers co-simulation only"),
     ],
 )
@@ -150,8 +150,8 @@ def test_what_cannot_be_run_is_said_before_the_run(
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
-        ('tolerance="0.003"', 'tolerance="log.csv"', "tolerance of its default experiment"),
-        ('value="2"', 'value="rad"', "item second of Gear"),
+        ('tolerance="0.003"', 'tolerance="log.csv"', "tolerance of DefaultExperiment"),
+        ('value="2"', 'value="rad"', "value of Item second"),
         ('factor="0.10471975511965977"', 'factor="x"', "has the wrong type"),
     ],
 )

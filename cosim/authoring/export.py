@@ -21,14 +21,8 @@ from cosim.core.units import computed_in
 from cosim.files.files import FilePath, named_path
 from cosim.files.table import read_columns
 from cosim.fmi.description import enumeration_items, ways
-from cosim.fmi.native.signal_source import (
-    CompilerFailed,
-    NoCompiler,
-    SignalChange,
-    TimeSignal,
-    build_gain,
-    build_source,
-)
+from cosim.fmi.native.compiler import CompilerFailed, NoCompiler
+from cosim.fmi.native.signal_source import SignalChange, TimeSignal, build_gain, build_source
 from cosim.scenario.scenario import Connection, FixComponent, FmuComponent, PlaybackComponent, ReferenceComponent
 from cosim.scenario.scenario_file import ScenarioFile, take_nearest
 from cosim.simulation.manifest import check_pinned

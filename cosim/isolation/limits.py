@@ -10,7 +10,7 @@ from typing import Annotated, Any
 from pydantic import BeforeValidator, ValidationError
 
 from cosim.core.errors import Fault, InputError
-from cosim.core.messages import with_prefix
+from cosim.core.settings import reason_of
 from cosim.core.units import read_quantity, split_quantity
 from cosim.files.yaml_file import Part
 
@@ -67,10 +67,9 @@ def read_limits(text: str) -> Limits:
     try:
         return Limits.model_validate({key.strip(): value.strip() for key, _, value in pairs})
     except ValidationError as error:
-        faults = []
-        for e in error.errors():
-            name, reason = ".".join(map(str, e["loc"])), e.get("ctx", {}).get("error", e["msg"])
-            unknown = f"{name}: no such limit (known: {', '.join(Limits.model_fields)})"
-            message = unknown if e["type"] == "extra_forbidden" else with_prefix(f"{name}: ", str(reason))
-            faults.append(Fault(Path("--limits"), 0, 0, message))
-        raise InputError(faults) from None
+        known = f"no such limit (known: {', '.join(Limits.model_fields)})"
+        texts = {
+            ".".join(map(str, e["loc"])): known if e["type"] == "extra_forbidden" else reason_of(e)
+            for e in error.errors()
+        }
+        raise InputError([Fault(Path("--limits"), 0, 0, f"{name}: {text}") for name, text in texts.items()]) from None

@@ -11,7 +11,7 @@ from cosim.core.messages import Note
 from cosim.core.text import counted, join_names
 from cosim.estimation.subject.fmu_subject import FmuSubject
 from cosim.files.artefact import Checking
-from cosim.fmi.building.execution import is_execution_allowed
+from cosim.fmi.building.file import skipped_files
 from cosim.logs.log import Log
 from cosim.probing.fmu_structure import Structure
 from cosim.refinement.study import FMU_SUFFIX, Study, keys_of, read_parts_of_fmu, read_study
@@ -28,7 +28,7 @@ def check_study(path: Path, checking: Checking) -> list[str]:
     """
     keys = keys_of(path)
     model = keys[1].model
-    if model.lower().endswith(FMU_SUFFIX) and checking.worker is None and not is_execution_allowed():
+    if model.lower().endswith(FMU_SUFFIX) and checking.worker is None and skipped_files.get() is not None:
         read_parts_of_fmu(*keys)
         return [
             f"warning: {model} is not loaded (--no-load), so the names of candidates, noise and tolerance are not "

@@ -23,7 +23,6 @@ from cosim.master.remote import simulate_in
 from cosim.scenario.scenario_file import ScenarioFile
 from cosim.simulation.manifest import check_pinned
 from cosim.simulation.packaged import lay_out
-from cosim.system.recording import recording_notes
 from cosim.system.system import System, build_system
 
 MAX_CALL_TIME = 60.0  # allowed time [s] of a call during the trial of an FMU
@@ -68,7 +67,7 @@ def check_fmu(path: Path, checking: Checking) -> list[str]:
     if problem := read_credibility(path).problem:
         notes.append(f"warning: {problem}")
     # FMPy's findings are about a readable FMU, as accepted by importing tools.
-    return notes + [f"warning: {problem}" for problem in validation(path)]
+    return notes + [f"warning: {problem}" for problem in validation(path, description)]
 
 
 def check_scenario(path: Path, checking: Checking) -> list[str]:
@@ -105,8 +104,7 @@ def _check(file: ScenarioFile, path: Path, worker: Worker | None, warnings: Sequ
         system = with_feedthrough(file, system, worker)
         said = _run_once(file, system, path, worker)
     shown = [text for text in (*system.warnings, *said) if isinstance(text, CheckWarning)]
-    notes = recording_notes(file.scenario, system.columns, system.recording)
-    return [*map(with_severity, (*warnings, *shown, *notes))]
+    return [*map(with_severity, (*warnings, *shown))]
 
 
 def _run_once(file: ScenarioFile, system: System, path: Path, worker: Worker) -> list[str]:

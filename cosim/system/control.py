@@ -10,7 +10,7 @@ from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.sources import SourceBlock
 from cosim.core.text import did_you_mean
 from cosim.fmi.description import takes_any_step
-from cosim.fmi.sampled import sampled_by
+from cosim.fmi.model_description import sampled_by
 from cosim.scenario.scenario import FixComponent
 from cosim.system.wiring import Building, Components, Transfer
 
@@ -97,7 +97,7 @@ def control_of(building: Building, transfers: Sequence[Transfer]) -> Control | N
         ends: list[tuple[int, int]] = []  # indices of output and input
         for side, output, other in (("effort", bond.effort, bond.flow), ("flow", bond.flow, bond.effort)):
             owner = other.partition(".")[0]
-            found = next((t for t in by_source.get(output, ()) if t.name.partition(".")[0] == owner), None)
+            found = next((t for t in by_source.get(output, ()) if t.receiver == owner), None)
             message = ""
             if output not in by_source:
                 message = f'no connected output "{output}"{did_you_mean(output, by_source)}'

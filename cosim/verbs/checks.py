@@ -130,7 +130,7 @@ def check(
 
 def _check_isolated(path: Path, checking: Checking) -> list[str]:
     """Check a file; execute named Python in the worker, or not at all without a worker."""
-    from cosim.fmi.building.execution import without_execution
+    from cosim.fmi.building.file import without_execution
 
     worker = checking.worker
     with without_execution() as skipped:

@@ -95,7 +95,11 @@ class LibraryInstance:
             kind: Any = partial(FmuBlock, way="co-simulation") if self._stepped else DifferentiableFmu
             self._block = kind(NAME, self._path, self._description, {}, frozenset())
             self._block.bind_nothing()
-        self._block.open_again(values, start, stop)
+            self._block.instance.keeps_library = True
+        self._block.instance.free()
+        self._block.start_values = values
+        self._block.open(start, stop)
+        self._block.start()
         self._values, self._functions_of = dict(values), self._functions(self._block)
         return self._functions_of
 
