@@ -226,7 +226,7 @@ def test_c_and_python_give_the_same_bytes_and_events_the_same_numbers(folder: Pa
     columns, in_c = rows(folder, system, "C")
     _, in_python = rows(folder, system, ASKED, columns)
     assert in_python.tobytes() == in_c.tobytes()
-    _, beside_text = rows(folder, beside(system, "text.fmu"), "Python: aside.mood", columns)
+    _, beside_text = rows(folder, beside(system, "text.fmu"), "C", columns)
     assert beside_text.tobytes() == in_c.tobytes()
     _, at_events = rows(folder, beside(system, "clocked.fmu"), "Python: event mode", columns)
     assert at_events == pytest.approx(in_c, rel=1e-12, abs=1e-12)

@@ -10,7 +10,7 @@ import pytest
 
 from cosim import run
 from cosim.isolation.limits import Limits
-from cosim.master import c_loop, master
+from cosim.master import c_loop, master, policies
 from cosim.master.own_process import in_own_processes
 from cosim.scenario.scenario_file import ScenarioFile
 from cosim.system.system import build_system
@@ -57,7 +57,7 @@ def simulated(
     apart: bool = False,
     in_c: bool = True,
 ) -> Any:
-    for module in (c_loop, master):
+    for module in (c_loop, master, policies):
         patch.setattr(module, "cores", lambda: cores)
     system = build_system(file)
     system = in_own_processes(system, Limits()) if apart else system

@@ -60,17 +60,19 @@ def compile_library(folder: Path, description: Any, identifier: str) -> Path:
     root = folder / SOURCES
     try:
         names, options, includes = _declared_sources(root, description, identifier)
-        outside = [name for name in (*names, *includes) if not (root / name).resolve().is_relative_to(root.resolve())]
-        missing = [name for name in names if not (root / name).is_file()]
-        fault = ""
-        if outside:
-            fault = f'"{outside[0][:60]}" lies outside its folder'
-        elif not names:
-            fault = "it has no C or C++ file in its folder `sources`; export it again with its sources"
-        elif missing:
-            fault = f"it lists {', '.join(missing)}, which is not there; export it again with all its sources"
-        if fault:
-            raise FmuError(f"its sources cannot be compiled: {fault}")
+        for name in (*names, *includes):
+            if not (root / name).resolve().is_relative_to(root.resolve()):
+                raise FmuError(f'its sources cannot be compiled: "{name[:60]}" lies outside its folder')
+        if not names:
+            raise FmuError(
+                "its sources cannot be compiled: it has no C or C++ file in its folder `sources`; export it again "
+                "with its sources"
+            )
+        if missing := [name for name in names if not (root / name).is_file()]:
+            raise FmuError(
+                f"its sources cannot be compiled: it lists {', '.join(missing)}, which is not there; export it again "
+                "with all its sources"
+            )
         folders = (SOURCES, *(f"{SOURCES}/{name}" for name in includes), fmi_headers())
         *first, last = (f"{SOURCES}/{name}" for name in names)
         command = [*library_command(), *OPTIMIZED, *PLAIN_NAMES, *options, *(f"-I{part}" for part in folders), *first]
@@ -104,9 +106,9 @@ def _declared_sources(root: Path, description: Any, identifier: str) -> tuple[li
         names = sorted(p.name for p in root.glob("*") if p.suffix.lower() in (*C, *CPP))
         return ["all.c"] if (root / "all.c").is_file() else names, [], []
     languages = [part.language for part in sets if part.language]
-    if unknown := {*languages} - STANDARDS.keys():
-        known = ", ".join(STANDARDS)
-        raise FmuError(f"its sources cannot be compiled: they are in {', '.join(unknown)}; known are {known}")
+    for language in languages:
+        if language not in STANDARDS:
+            raise FmuError(f"its sources cannot be compiled: they are in {language}; known are {', '.join(STANDARDS)}")
     options = [f"-std={STANDARDS[languages[-1]]}"] if languages else []
     for d in (definition for part in sets for definition in part.preprocessorDefinitions):
         options.append(f"-D{d.name}" if d.value is None else f"-D{d.name}={d.value}")

@@ -129,20 +129,9 @@ class Component:
     def stepping(self, doing: MutableSequence[int], first: int) -> Callable[[float, float], None]:
         """Return a function of (t, h) for a step: put the inputs, advance by h, get the outputs.
 
-        Before each call `doing[0]` becomes `first` + PUT, ADVANCE or GET. The function is valid after `start`.
+        The function is `in_turn` or a faster equivalent. It is valid after `start`.
         """
-        put, advance, get = self.put, self.advance, self.get
-        putting, advancing, getting = first + PUT, first + ADVANCE, first + GET
-
-        def step(t: float, h: float) -> None:
-            doing[0] = putting
-            put()
-            doing[0] = advancing
-            advance(t, h)
-            doing[0] = getting
-            get()
-
-        return step
+        return in_turn(self, doing, first, puts=False)
 
     def close(self) -> None:
         """Free all resources; repeated calls are harmless."""
@@ -156,3 +145,40 @@ class Component:
 
     def restore(self, state: Any) -> None:
         """Restore a state of another process, after initialization."""
+
+
+def in_turn(
+    component: Component, doing: MutableSequence[int], first: int, *, puts: bool = True
+) -> Callable[[float, float], None]:
+    """Return a function that puts, advances and gets.
+
+    Before each call `doing[0]` becomes `first` + PUT, ADVANCE or GET.
+
+    Args:
+        puts: Whether any input is connected.
+    """
+    put, advance, get = component.put, component.advance, component.get
+    putting, advancing, getting = first + PUT, first + ADVANCE, first + GET
+
+    def step(t: float, h: float) -> None:
+        if puts:
+            doing[0] = putting
+            put()
+        doing[0] = advancing
+        advance(t, h)
+        doing[0] = getting
+        get()
+
+    return step
+
+
+def without_step(component: Component, doing: MutableSequence[int], first: int) -> Callable[[], None]:
+    """Return a function that puts and gets, as `in_turn` without advancing."""
+
+    def exchange() -> None:
+        doing[0] = first + PUT
+        component.put()
+        doing[0] = first + GET
+        component.get()
+
+    return exchange

@@ -116,12 +116,11 @@ class GaussSeidel(Algorithm):
 
     def plan(self, components: Components, edges: Sequence[Edge], order: Order) -> Plan:
         """Return a plan in the user's order, by default in the order of direct feedthrough."""
-        plan = self.plan_with_loops(components, edges, order, undeclared=False)
-        if plan.loops:
-            raise AlgebraicLoop([*plan.loops[0], plan.loops[0][0]])
-        return plan
+        return self.plan_with_loops(components, edges, order, undeclared=False, loops=False)
 
-    def plan_with_loops(self, components: Components, edges: Sequence[Edge], order: Order, *, undeclared: bool) -> Plan:
+    def plan_with_loops(
+        self, components: Components, edges: Sequence[Edge], order: Order, *, undeclared: bool, loops: bool = True
+    ) -> Plan:
         """Return a plan with values of the same time for inputs with direct feedthrough.
 
         An order stated by the user is kept: connections along this order are immediate, all others are held.
@@ -129,6 +128,10 @@ class GaussSeidel(Algorithm):
         Args:
             undeclared: Whether inputs without declared dependencies may be part of a loop. Otherwise they are assumed
                 to have no direct feedthrough where a loop would need it.
+            loops: Whether components without an order become algebraic loops of the plan.
+
+        Raises:
+            AlgebraicLoop: No order exists, and the plan must not have loops.
         """
         if order is not None:
             rest = [name for name in components if name not in order]  # sources without inputs
@@ -164,6 +167,8 @@ class GaussSeidel(Algorithm):
                         )
                     )
             direct -= removed
+        if not loops:
+            raise AlgebraicLoop(cycle)
         groups = sort_groups(list(components), ends)
         selfish = {source for source, target in ends if source == target}
         found = tuple(group for group in groups if len(group) > 1 or group[0] in selfish)
@@ -213,7 +218,8 @@ class AlgorithmKey:
         allowed = list(algorithms())
         if isinstance(value, str) and value in allowed:
             return value
-        raise PydanticKnownError("literal_error", {"expected": " or ".join(map(repr, allowed))})
+        *others, last = map(repr, allowed)
+        raise PydanticKnownError("literal_error", {"expected": f"{', '.join(others)} or {last}"})
 
 
 def _sort(names: Iterable[T], ends: Iterable[tuple[T, T]]) -> tuple[T, ...]:

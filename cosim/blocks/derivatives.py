@@ -2,22 +2,18 @@
 
 from __future__ import annotations
 
-import ctypes
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from typing import Any
 
 import numpy as np
 
 from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.model_exchange import ModelExchange
-from cosim.blocks.solvers import derivatives_of, numbers, set_states
+from cosim.blocks.solvers import derivatives_of, numbers
 from cosim.core.arrays import Array
 from cosim.core.errors import SimulationError
 from cosim.fmi.description import declares_slopes, reals, scalars, states_of
 from cosim.fmi.fmi_types import is_negated
-
-NO_VARIABLE = 2**32 - 1  # FMI 1.0's value reference of a state without variable
 
 
 class DifferentiableFmu(FmuBlock):
@@ -41,12 +37,8 @@ class DifferentiableFmu(FmuBlock):
         return plain and declares_slopes(self.path, "model-exchange")
 
     def state_references(self) -> list[int]:
-        """Return the value references of the states. FMI 1.0 declares them at run time only, if at all."""
-        count = self.description.numberOfContinuousStates
-        references = (ctypes.c_uint * count)(*[NO_VARIABLE] * count)
-        with suppress(Exception):  # Some exporters do not implement it; FMPy raises bare Exceptions.
-            self.instance.fmu.getStateValueReferences(references, count)
-        return list(references)
+        """Return the value references of the states, FMI 1.0 only."""
+        return self.instance.state_references()
 
     def current_point(self) -> tuple[Array, Array]:
         """Return the current states and inputs."""
@@ -60,14 +52,14 @@ class DifferentiableFmu(FmuBlock):
         """
         with self.instance.check_calls():
             self.instance.fmu.setTime(t)
-            set_states(self.instance.fmu, states)
+            self.instance.set_states(states)
             self.instance.event(lambda: self._write_reals(self._inputs, inputs))
         return self._vector(self.instance.fmu.getContinuousStates)
 
     def rates(self, states: Array, inputs: Array) -> Array:
         """Return derivatives and outputs in the current mode."""
         with self.instance.check_calls():
-            set_states(self.instance.fmu, states)
+            self.instance.set_states(states)
             self._write_reals(self._inputs, inputs)
         rates = self._vector(derivatives_of(self.instance.fmu))
         return np.concatenate([rates, self._read(self._outputs)])

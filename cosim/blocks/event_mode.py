@@ -15,9 +15,8 @@ import ctypes
 import math
 from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any, Literal
 from xml.etree import ElementTree
 
@@ -33,6 +32,21 @@ ClockKind = Literal["constant", "fixed", "tunable", "changing", "countdown", "tr
 PERIODIC = ("constant", "fixed", "tunable")
 NUMBERS = {"intervalDecimal", "intervalCounter", "resolution", "shiftDecimal", "shiftCounter", "priority"}
 LOWEST = 2**31  # priority of a clock without one: after all others
+
+
+@dataclass(frozen=True)
+class Timing:
+    """Times of a clock, as the scenario states them.
+
+    Attributes:
+        interval: Time [s] between two ticks.
+        shift: Time [s] from the start of the run to the first tick.
+        at: Times of all ticks [s], ordered; takes the place of `interval`.
+    """
+
+    interval: float | None = None
+    shift: float | None = None
+    at: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -72,13 +86,8 @@ def read_clocks(path: Path, description: Any) -> dict[str, Clock]:
     for node in root.iter("Clock"):
         name = node.get("name", "")
         if name in variables:
-            attributes, numbers = {**types.get(node.get("declaredType"), {}), **node.attrib}, dict[str, float]()
-            for key in sorted(NUMBERS & attributes.keys()):
-                with suppress(ValueError):
-                    numbers[key] = float(attributes[key])
-                if not math.isfinite(numbers.get(key, math.nan)) or (key == "resolution" and numbers[key] <= 0.0):
-                    text = f'{key} of the clock {name} is "{attributes[key]}", which is no number'
-                    raise FmuError(f"{path} is not a valid FMU: {text}")
+            attributes = {**types.get(node.get("declaredType"), {}), **node.attrib}
+            numbers = {key: _number(path, name, key, attributes[key]) for key in NUMBERS & attributes.keys()}
             kind, resolution = attributes.get("intervalVariability", "triggered"), numbers.get("resolution", 1.0)
             interval = numbers.get("intervalDecimal")
             if interval is None and "intervalCounter" in numbers:
@@ -102,34 +111,44 @@ def read_clocks(path: Path, description: Any) -> dict[str, Clock]:
     return clocks
 
 
+def _number(path: Path, clock: str, key: str, text: str) -> float:
+    """Return a number of the description."""
+    with suppress(ValueError):
+        if math.isfinite(number := float(text)) and (number > 0.0 or key != "resolution"):
+            return number
+    raise FmuError(f'{path} is not a valid FMU: {f"{key} of the clock {clock}"} is "{text}", which is no number')
+
+
 @dataclass
 class Timer:
     """Times of a clock's ticks, derived from counts.
 
     Attributes:
-        base: Time [s] of tick 0 of the current interval; infinity: no tick is known.
+        base: Time [s] of tick 0 of the current interval.
         count: Number of ticks since `base`.
         interval: Current interval [s]; None: only the tick at `base` is known.
         times: Times of all ticks [s], if they are stated one by one.
+        is_set: Whether a next tick is known.
     """
 
-    base: float = math.inf
+    base: float = 0.0
     count: int = 0
     interval: float | None = None
-    times: Sequence[float] = ()
+    times: Sequence[float] = field(default_factory=tuple)
+    is_set: bool = False
 
     @property
     def next(self) -> float:
         """Return the time [s] of the next tick, or infinity."""
-        if self.times:
+        if self.is_set and self.times:
             return self.times[self.count] if self.count < len(self.times) else math.inf
-        if self.interval is None and self.count > 0:
+        if not self.is_set or (self.interval is None and self.count > 0):
             return math.inf
         return self.base + self.count * (self.interval or 0.0)
 
     def begin(self, base: float, interval: float | None = None, count: int = 0) -> None:
         """Tick once, at `base` [s], or every `interval` [s] from tick `count` on."""
-        self.base, self.count, self.interval = base, count, interval
+        self.base, self.count, self.interval, self.is_set = base, count, interval, True
 
 
 NOT_YET_KNOWN, UNCHANGED, CHANGED = range(3)  # fmi3IntervalQualifier
@@ -143,13 +162,15 @@ class EventInstance(Instance):
     Attributes:
         may_return: Whether the FMU may return early from a step. An FMU with steps of one length may not.
         in_small_steps: Whether the FMU is asked to return after each of its own steps.
+        stop: Interruption of the run that arrived during a step.
     """
 
     in_small_steps = False
+    stop: BaseException | None = None
 
     def __init__(self, name: str, path: Path, description: Any, **settings: bool) -> None:
         super().__init__(name, path, description, **settings)
-        self.may_return = self.way == "co-simulation" and takes_any_step(description)
+        self.may_return = takes_any_step(description)
 
     def make_instance(self, logging: bool, **options: Any) -> None:
         options |= {"eventModeUsed": True, "earlyReturnAllowed": self.may_return}
@@ -188,7 +209,7 @@ class EventFmu(FmuBlock):
         active: Clocks that tick at the current instant.
 
     Args:
-        timings: Clock → `interval`, `shift` and `at` [s], as the scenario states them.
+        timings: Clock → times stated by the scenario.
         jumping: Inputs whose values jump, because their sources do.
     """
 
@@ -201,17 +222,19 @@ class EventFmu(FmuBlock):
         name: str,
         path: Path,
         description: Any,
-        *arguments: Any,
-        timings: Mapping[str, Any] = MappingProxyType({}),
+        start: Mapping[str, Any],
+        connected: frozenset[str],
+        *,
+        timings: Mapping[str, Timing] | None = None,
         jumping: frozenset[str] = frozenset(),
         **settings: Any,
     ) -> None:
         self.clocks = read_clocks(path, description)
         self.output_clocks = [c for c in self.clocks.values() if c.causality != "input"]
-        self.timings, self._jumping = timings, jumping
+        self.timings, self._jumping = dict(timings or {}), jumping
         self._places: dict[str, int] = {}  # places of the numbers of ticks
         self._reset(0.0)
-        super().__init__(name, path, description, *arguments, **settings)
+        super().__init__(name, path, description, start, connected, **settings)
         self.may_return = self.instance.may_return
         self._steady = [e for e in self.fed if not self._is_jumping(e.variables[0])]
         self._discrete = [e for e in self.fed if e not in self._steady and not e.clocks]
@@ -269,9 +292,7 @@ class EventFmu(FmuBlock):
     def begin(self, start: float, stop: float) -> None:
         self._reset(start)
         super().begin(start, stop)
-        for exchange in self.read:
-            if exchange.clocks:  # It has no value until an event.
-                self.show_values(exchange, {}, exchange.kind.nothing)
+        self.show_outputs([e for e in self.read if e.clocks])
 
     def start(self) -> None:
         instance, start = self.instance, self.instance.start_time
@@ -282,7 +303,7 @@ class EventFmu(FmuBlock):
                 if clock.kind == "triggered":
                     if timing is not None:
                         first = start + (timing.shift or 0.0)
-                        self.timers[clock.name] = Timer(first, 0, timing.interval, timing.at)
+                        self.timers[clock.name] = Timer(first, interval=timing.interval, times=timing.at, is_set=True)
                     continue
                 self.timers[clock.name] = timer = Timer()
                 interval = clock.interval
@@ -362,7 +383,9 @@ class EventFmu(FmuBlock):
         """
         instance = self.instance
         status = int(self._do_step(instance.component, self.reached, target - self.reached, True, *instance.flags))
-        instance.raise_stop()
+        stop, instance.stop = instance.stop, None
+        if stop is not None:
+            raise stop
         if status:
             instance.time = self.reached
             instance.judge(instance.step_name, status)
@@ -521,6 +544,10 @@ class ScheduledInstance(EventInstance):
     fmpy_class, way = "ScheduledExecution", "scheduled-execution"
 
     on_update: Any = staticmethod(lambda: None)
+
+    def __init__(self, name: str, path: Path, description: Any, **settings: bool) -> None:
+        super().__init__(name, path, description, **settings)
+        self.may_return = False
 
     def make_instance(self, logging: bool, **options: Any) -> None:
         from fmpy.fmi3 import fmi3ClockUpdateCallback

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from array import array
-from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -23,9 +22,7 @@ class LinkFunction:
     Attributes:
         kind: Effect on a value; further attributes have the names of the fields of `ConvertedLink`.
         window: First and last point at which the effect acts; elsewhere values pass unchanged.
-        past: Ring of previous values, one longer than the delay in points; of HELD the last received value. The loop in
-            C goes on with it.
-        check: Function of (point, value) that raises an error of a value that is no item.
+        delay: Delay in communication points.
     """
 
     kind: LinkKind
@@ -34,15 +31,13 @@ class LinkFunction:
     b: float = 0.0
     values: Any = None
     marks: bytearray | None = None
-    past: Any = None
-    check: Callable[[int, Any], None] | None = None
+    delay: int = 0
+    _past: dict[int, Any] = field(default_factory=dict)  # point → value; of HELD the last received value at point 0
+    _in_c: array[float] | None = None
 
     def __call__(self, k: int, v: Any) -> Any:
         """Return the value at point k."""
         kind = self.kind
-        if self.check is not None:
-            self.check(k, v)
-            return v
         if kind is AFFINE:
             return v * self.a + self.b
         if kind is ADDED:
@@ -50,12 +45,12 @@ class LinkFunction:
         acts = self.window[0] <= k <= self.window[1] and (self.marks is None or bool(self.marks[k]))
         if kind is HELD:
             if k == 0 or not acts:
-                self.past[0] = v
-            return self.past[0]
+                self._past[0] = v
+            return self._past[0]
         if kind is DELAYED:  # at first the first value
-            count = len(self.past)
-            self.past[k % count] = v
-            return self.past[0 if k < count else (k + 1) % count] if acts else v
+            self._past[k] = v
+            self._past.pop(k - self.delay - 1, None)
+            return self._past.get(k - self.delay, self._past[min(self._past)]) if acts else v
         if not acts:
             return v
         if kind is SCALE:
@@ -64,22 +59,33 @@ class LinkFunction:
 
     def link(self) -> ConvertedLink:
         """Return the equivalent for the loop in C, which continues from the last point."""
-        if isinstance(self.past, list):
-            self.past = array("d", self.past)
-        buffers = self.values, self.marks, self.past
-        count = len(self.past or self.values or ())
+        count = 0 if self.values is None else len(self.values)
+        if self.kind is HELD:
+            self._in_c = array("d", [self._past[0]])
+        elif self.kind is DELAYED:
+            self._in_c, count = array("d", bytes(8 * (self.delay + 1))), self.delay + 1
+            for k, value in self._past.items():
+                self._in_c[k % count] = value
+        buffers = self.values, self.marks, self._in_c
         result = ConvertedLink(self.kind, *self.window, self.a, self.b, *map(address_of, buffers), count)
         result.keeping = buffers
         return result
 
-    def save(self) -> Any:
-        """Return the past values that later points need; None without one."""
-        return None if self.past is None else [*self.past]
+    def save(self, k: int) -> Any:
+        """Return the past values that later points need, at point k; None without one."""
+        ring = self._in_c
+        if self.kind is HELD:
+            return self._past[0] if ring is None else ring[0]
+        if self.kind != DELAYED:
+            return None
+        if ring is None:
+            return [*self._past.items()]
+        return [(j, ring[j % len(ring)]) for j in range(max(0, k - self.delay), k + 1)]
 
     def restore(self, memory: Any) -> None:
         """Restore saved values."""
         if memory is not None:
-            self.past[:] = memory
+            self._past = {0: memory} if self.kind is HELD else dict(memory)
 
 
 def fault_function(
@@ -103,15 +109,15 @@ def fault_function(
     if kind in {"bias", "scale", "stuck"}:
         return LinkFunction(LinkKind[kind.upper()], window, a=value or 0.0)
     if kind == "delay":
-        return LinkFunction(DELAYED, window, past=[0.0] * (min(delay, count) + 1))
+        return LinkFunction(DELAYED, window, delay=min(delay, count))
     if probability is not None:
         marks = rng.random(count) < probability
     elif kind == "spike":
         marks = np.arange(count) == min(window[0], count - 1)
     else:
         marks = np.ones(count, bool)
-    effect, past = (SPIKES, None) if kind == "spike" else (HELD, [0.0])
-    return LinkFunction(effect, window, a=value or 0.0, marks=bytearray(marks.tobytes()), past=past)
+    effect = SPIKES if kind == "spike" else HELD
+    return LinkFunction(effect, window, a=value or 0.0, marks=bytearray(marks.tobytes()))
 
 
 def points(begin: float | None, end: float | None, start: float, step: float, count: int) -> tuple[int, int]:

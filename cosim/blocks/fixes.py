@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Collection, Iterable, Mapping
 from typing import Any
 
@@ -10,7 +11,7 @@ from cosim.blocks.component import Component, Signal
 from cosim.blocks.faults import stream
 
 COUNT = "fix"  # name of the counting output
-STATE = "_point", "_measured", "_count", "_values", "_errors", "_opening", "_queue"  # attributes in a checkpoint
+STATE = "_point", "_measured", "_count", "_values", "_errors", "_opening"  # attributes in a checkpoint
 
 
 def fix_outputs(signals: Iterable[str]) -> list[str]:
@@ -55,7 +56,7 @@ class Fixes(Component):
         self._late = math.ceil(latency / step - 1e-9)
         self._point, self._measured, self._count = 0, 0, 0
         self._values = [0.0] * len(self.inputs)
-        self._queue: list[tuple[int, list[float]]] = []  # measured fixes with their output points
+        self._queue: deque[tuple[int, list[float]]] = deque()  # measured fixes with their output points
         self._errors: list[float] | None = None  # errors of the first fix, applied to each value exchanged at the start
         self._opening = self._values
 
@@ -89,21 +90,21 @@ class Fixes(Component):
                 measured = [self._row[k] + e for k, e in enumerate(errors, self._first)]
                 self._queue.append((self._point + self._late, measured))
         while self._queue and self._queue[0][0] <= self._point:
-            self._values = self._queue.pop(0)[1]
+            self._values = self._queue.popleft()[1]
             self._count += 1
 
     def checkpoint(self) -> dict[str, Any]:
         state = {name: getattr(self, name) for name in STATE}
-        return state | {"random": [rng.bit_generator.state for rng in self._streams]}
+        return state | {"queue": [*self._queue], "random": [rng.bit_generator.state for rng in self._streams]}
 
     def restore(self, state: dict[str, Any]) -> None:
         for name in STATE:
             setattr(self, name, state[name])
-
+        self._queue = deque((point, values) for point, values in state["queue"])
         for rng, saved in zip(self._streams, state["random"], strict=True):
             rng.bit_generator.state = saved
 
-    def slot(self) -> str:
+    def slot(self, cells: Any) -> str:
         """Return the reason why the C loop cannot step this component."""
         return f"{self.name} measures now and then"
 

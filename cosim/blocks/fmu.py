@@ -7,18 +7,18 @@ life cycle and values.py for the transfer of values.
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, MutableSequence, Sequence
 from contextlib import suppress
 from functools import cached_property, partial
 from pathlib import Path
 from typing import Any, Self
 
 from cosim.blocks.compiling import permission
-from cosim.blocks.component import ADVANCE, PUT
+from cosim.blocks.component import ADVANCE, in_turn
 from cosim.blocks.instance import Instance, end_of
 from cosim.blocks.model_exchange import ModelExchange
 from cosim.blocks.solvers import Solver
-from cosim.blocks.stepping import Move, Slot, StopReason, move
+from cosim.blocks.stepping import Move, Slot, StopReason
 from cosim.blocks.values import FmuVariables
 from cosim.core.errors import FmuError
 from cosim.fmi.description import Way, declares_slopes, slips_of, ways
@@ -35,7 +35,6 @@ class FmuBlock(FmuVariables):
 
     Attributes:
         is_apart: Whether the FMU has a process of its own.
-        changes_by_events: Whether a change of inputs is an event.
         clock_types: Types of variables that are neither set nor read like others, but known.
         instance: Instance of the FMU, by its interface.
         log: Messages of the FMU.
@@ -93,7 +92,6 @@ class FmuBlock(FmuVariables):
         if isinstance(instance, ModelExchange):
             instance.solver_name, instance.longest, instance.max_steps = solver, solver_step, max_steps
         self.log = instance.log
-        self.changes_by_events = isinstance(instance, ModelExchange)
         # With equal steps, a replay of a run of pythonfmu's FMUs repeats the run bit for bit.
         self.nominal_step = instance.by_pythonfmu
         self._choose_variables(recorded)
@@ -182,6 +180,17 @@ class FmuBlock(FmuVariables):
         self.load()
         self.begin(start, stop)
 
+    def open_again(self, values: Mapping[str, Any], start: float, stop: float) -> None:
+        """Initialize a new instance with other start values; the library stays loaded."""
+        self.start_values = values
+        if self.instance.fmu is None:
+            self.load()
+        else:
+            self.instance.renew()
+            self.look_up()
+        self.begin(start, stop)
+        self.start()
+
     def load(self) -> None:
         """Load the FMU and make its instance."""
         self.instance.load()
@@ -222,6 +231,11 @@ class FmuBlock(FmuVariables):
         else:
             self.put()
 
+    @property
+    def changes_by_events(self) -> bool:
+        """Return whether a change of inputs is an event."""
+        return isinstance(self.instance, ModelExchange)
+
     def slopes(self, outputs: Sequence[str], inputs: Sequence[str]) -> list[list[float]] | None:
         """Return directional derivatives of outputs, None if unavailable."""
         if not self._is_differentiable or not {*outputs, *inputs} <= self.variables.keys():
@@ -246,6 +260,12 @@ class FmuBlock(FmuVariables):
             instance.time = t
             instance.judge(instance.step_name, status)
         instance.time = t + h
+
+    @property
+    def interpolates_inputs(self) -> bool:
+        """Return whether the FMU declares `canInterpolateInputs` (FMI 2.0, co-simulation)."""
+        instance = self.instance
+        return bool(instance.version == 2 and instance.way == "co-simulation" and instance.about.canInterpolateInputs)
 
     def step_by_derivatives(self, names: Sequence[str], orders: Sequence[Sequence[float]], t: float, h: float) -> None:
         """Put the inputs and their derivatives, from the first order on, advance by `h` and get the outputs."""
@@ -291,6 +311,9 @@ class FmuBlock(FmuVariables):
         self.instance.free()
         self.instance.remove()
 
+    def stepping(self, doing: MutableSequence[int], first: int) -> Callable[[float, float], None]:
+        return in_turn(self, doing, first, puts=bool(self.fed))
+
     # -- state --------------------------------------------------------------------------
 
     @property
@@ -311,11 +334,16 @@ class FmuBlock(FmuVariables):
         """Return whether the FMU is stepped and declares that its state can be saved and restored."""
         return bool(self.instance.way == "co-simulation" and self.instance.about.canGetAndSetFMUstate)
 
+    def _state_function(self, verb: str) -> Any:
+        """Return a function of FMPy for the state of the FMU."""
+        is_fmi3 = self.instance.version == 3
+        verb = "deSerialize" if verb == "deserialize" and not is_fmi3 else verb
+        return getattr(self.instance.fmu, f"{verb}FMU{'State' if is_fmi3 else 'state'}")
+
     def _call_of_state(self, verb: str, *arguments: Any) -> Any:
-        """Call a function of FMPy for the state of the FMU."""
-        ending = "State" if self.instance.version == 3 else "state"
-        verb = "deSerialize" if verb == "deserialize" and ending == "state" else verb
-        return self.instance.call(f"{verb}FMU{ending}", *arguments)
+        """Call a function for the state of the FMU."""
+        with self.instance.check_calls():
+            return self._state_function(verb)(*arguments)
 
     def save_state(self) -> Any:
         """Return the state, to restore and free."""
@@ -332,10 +360,10 @@ class FmuBlock(FmuVariables):
         self._call_of_state("free", state)
 
     def _serialize(self) -> bytes:
-        """Return the state as bytes; FMPy also raises bare Exceptions."""
-        state = self.save_state()
-        content = bytes(self._call_of_state("serialize", state))
-        self.free_state(state)
+        """Return the state as bytes; FMPy raises its own and bare Exceptions."""
+        state = self._state_function("get")()
+        content = bytes(self._state_function("serialize")(state))
+        self._state_function("free")(state)
         return content
 
     def checkpoint(self) -> dict[str, Any] | None:
@@ -360,16 +388,21 @@ class FmuBlock(FmuVariables):
 
     # -- stepped by C -------------------------------------------------------------------------
 
-    def slot(self) -> Slot | str:
-        """Return the slot for the C loop, or the reason for none."""
+    def slot(self, cells: Any) -> Slot | str:
+        """Return the slot for the C loop, or the reason for none.
+
+        Args:
+            cells: Values beside the row.
+        """
         instance = self.instance
         if self.nominal_step:
             return f"{self.name} is made of Python, by pythonfmu"
         if type(instance) is not Instance or instance.version == 1:
             return f"{self.name} is of FMI {self.description.fmiVersion} {instance.way}"
-        step = instance.step_function()
-        put = (Move * len(self.fed))(*(move(e.set.func, e, self._row) for e in self.fed))
-        get = (Move * len(self.read))(*(move(e.get.func, e, self._row) for e in self.read))
+        if (moves := self.moves(cells)) is None:
+            return f"{self.name} has binary values"
+        (puts, gets), step = moves, instance.step_function()
+        put, get = (Move * len(puts))(*puts), (Move * len(gets))(*gets)
         slot = Slot(instance.version, ctypes.cast(step, ctypes.c_void_p), instance.component, time=instance.time)
         slot.puts, slot.gets, slot.put, slot.get = len(put), len(get), ctypes.addressof(put), ctypes.addressof(get)
         slot.keeping = put, get
@@ -391,16 +424,10 @@ class FmuBlock(FmuVariables):
         """
         if reason == StopReason.TERMINATED:
             raise end_of(self.name, slot.reached)
-        if reason == StopReason.NOT_FINITE:
-            self._raise_not_finite(self.read[slot.moving])
-        elif reason == StopReason.UNFIT:
-            self.put_in(self.fed[slot.moving])
-        elif slot.called == ADVANCE:
+        if slot.called == ADVANCE and reason not in (StopReason.NOT_FINITE, StopReason.UNFIT):
             self.instance.judge(self.instance.step_name, slot.status)
-        elif slot.called == PUT:
-            self._judge("Set", self.fed[slot.moving], slot.status)
         else:
-            self._judge("Get", self.read[slot.moving], slot.status)
+            self.raise_error_of_move(reason, slot)
 
 
 class RestartableFmu(FmuBlock):
@@ -424,11 +451,15 @@ class RestartableFmu(FmuBlock):
 
         Foreign FMUs raise ValueError, KeyError or TypeError.
         """
-        return own_of(self._serialize())
+        return own_of(self._state())
 
     def remember(self, memory: Memory) -> None:
         """Write a memory into the state of a cosim FMU, since start values can express a constant past only."""
-        self._deserialize(with_memory(self._serialize(), memory))
+        self._deserialize(with_memory(self._state(), memory))
+
+    def _state(self) -> bytes:
+        with self.instance.check_calls():
+            return self._serialize()
 
     @cached_property
     def _is_ours(self) -> bool:

@@ -12,6 +12,7 @@ import os
 import shutil
 import tempfile
 import weakref
+from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
@@ -55,8 +56,40 @@ Listen = Callable[[int, bytes | None], None]  # status and message
 STATUS = ("OK", "Warning", "Discard", "Error", "Fatal", "Pending")
 WARNING, DISCARD, FATAL = 1, 2, 4
 LONGEST_MESSAGE = 1000  # characters
-MOST_MESSAGES = 100
+KEPT_FIRST, KEPT_LAST = 50, 50  # messages
 _listeners: dict[str, Callable[[], Listen | None]] = {}  # instance name → weak reference to its listener
+
+
+class _Functions(dict[str, Any]):
+    """FMI functions of a library by name, each made at its first call, because most are never called."""
+
+    def __init__(self, fmu: Any, signatures: Mapping[str, tuple[Any, Any, Any]]) -> None:
+        self._library, self._signatures = fmu.dll, signatures
+        self._prefix = f"{fmu.modelIdentifier}_" if next(iter(signatures)).startswith("fmi1") else ""
+        for name in signatures:
+            find_symbol(fmu.dll, self._symbol(name))
+
+    def _symbol(self, name: str) -> str:
+        return f"{self._prefix}{name.replace('fmi1', 'fmi')}" if self._prefix else name
+
+    def __missing__(self, name: str) -> Any:
+        function = self._library[self._symbol(name)]
+        function.argnames, function.argtypes, function.restype = self._signatures[name]
+        self[name] = function
+        return function
+
+
+def find_symbol(library: Any, name: str) -> None:
+    """Raise AttributeError if a loaded library has no such function."""
+    try:
+        from _ctypes import dlsym
+    except ImportError:  # Windows
+        getattr(library, name)
+        return
+    try:
+        dlsym(library._handle, name)
+    except OSError as error:
+        raise AttributeError(str(error)) from None
 
 
 @functools.cache
@@ -69,30 +102,34 @@ def with_known_signatures(module: str, name: str) -> Any:
         if not signatures:
             kind._loadFunctions(fmu)
             signatures.update({n: (f.argnames, f.argtypes, f.restype) for n, f in fmu._functions.items()})
-        for n, signature in signatures.items():
-            symbol = f"{fmu.modelIdentifier}_{n.replace('fmi1', 'fmi')}" if n.startswith("fmi1") else n
-            function = fmu._functions[n] = fmu.dll[symbol]
-            function.argnames, function.argtypes, function.restype = signature
+        else:
+            fmu._functions = _Functions(fmu, signatures)
 
     return type(name, (kind,), {"_loadFunctions": load})
 
 
 @dataclass(eq=False)
 class MessageLog:
-    """The first messages of an FMU, each text once, and the number of further ones.
+    """The first and the last messages of an FMU, each text once, and the number of those between.
 
     Attributes:
         share: Function called with each message, if any.
     """
 
     first: list[str] = field(default_factory=list)
+    last: deque[str] = field(default_factory=lambda: deque(maxlen=KEPT_LAST))
     omitted: int = 0
     share: Callable[[str], None] | None = None
 
     def __iter__(self) -> Iterator[str]:
+        """Yield the messages, with a note in place of those between."""
         yield from self.first
         if self.omitted:
-            yield f"{self.omitted:,} further messages are left out"
+            yield (
+                f"{self.omitted:,} messages are left out here: the first {len(self.first)} and the last "
+                f"{len(self.last)} are recorded"
+            )
+        yield from self.last
 
     def append(self, text: str) -> None:
         """Add a message."""
@@ -100,18 +137,22 @@ class MessageLog:
             self.share(text)
         if text in self.first:
             return
-        if len(self.first) < MOST_MESSAGES:
+        if len(self.first) < KEPT_FIRST:
             self.first.append(text)
-        else:
-            self.omitted += 1
+            return
+        if text in self.last:
+            self.last.remove(text)
+        self.omitted += len(self.last) == KEPT_LAST
+        self.last.append(text)
 
     def state(self) -> dict[str, Any]:
         """Return the messages in JSON types."""
-        return {"first": [*self.first], "omitted": self.omitted}
+        return {"first": [*self.first], "last": [*self.last], "omitted": self.omitted}
 
     def restore(self, state: Mapping[str, Any]) -> None:
         """Restore the messages of a state."""
         self.first, self.omitted = list(state["first"]), int(state["omitted"])
+        self.last = deque(state["last"], maxlen=KEPT_LAST)
 
 
 class Instance:
@@ -141,7 +182,7 @@ class Instance:
     place: Path | None = None
     initialized = False
     _folder: Path | None = None
-    stop: BaseException | None = None  # that arrived during a call
+    _stop: BaseException | None = None
     _words = ""  # last message
 
     def __init__(
@@ -170,7 +211,7 @@ class Instance:
         """
         is_kept = self.fmu is not None
         hidden = () if is_kept else claim(self.path)
-        folder = self._folder = self._folder or self.place or self._unpack()
+        folder = self._folder or self._unpack()
         previous, self._words = os.getcwd(), ""
         try:
             if not is_kept:
@@ -194,27 +235,27 @@ class Instance:
             if not self._compiles or C_CODE not in platforms:
                 raise FmuError(no_library(platform_of(self.description), platforms))
             library = compile_library(folder, self.description, identifier)
-        # FMPy derives the library's path from the identifier. In FMI 1.0 the names of functions begin with it.
-        names = {"modelIdentifier": library.stem}
-        if self.version == 1:
-            names = {"modelIdentifier": identifier, "libraryPath": str(library)}
-        kind = with_known_signatures(f"fmpy.fmi{self.version}", f"FMU{self.version}{self.fmpy_class}")
         try:
             with own_symbols_first(self.path, library):
-                self.fmu = kind(guid=self.description.guid, unzipDirectory=str(folder), instanceName=self.name, **names)
+                self._load_library(folder, library)
         except Exception as error:  # FMPy raises bare Exceptions.
             raise FmuError(load_error(library, error, hidden=bool(hidden))) from None
         for text in filter(None, (warning, *hidden)):
             self.remember(text)
 
     def _unpack(self) -> Path:
-        """Unpack the FMU; return the folder."""
+        """Unpack the FMU unless it is unpacked; return the folder."""
+        if self.place is not None:
+            self._folder = self.place
+            return self.place
         try:
-            folder = self._folder = Path(tempfile.mkdtemp(prefix="fmu-", dir=process_folder()))
+            self._folder = folder = Path(tempfile.mkdtemp(prefix="fmu-", dir=process_folder()))
             unpack(self.path, folder)
         except Exception as error:  # FMPy raises bare Exceptions, zipfile its own.
             if is_full(error):
-                full = f"the disk is full: no room to unpack {self.path.name} in the temporary folder (TMPDIR)"
+                full = (
+                    f"the disk is full: no room to unpack {self.path.name} in the folder for temporary files (TMPDIR)"
+                )
                 raise DiskFull(self.name, self.time, full) from None
             raise FmuError(f"{self.path} does not load: {error}") from None
         return folder
@@ -235,11 +276,30 @@ class Instance:
             fmu.freeLibrary()
         self.initialized = False
 
+    def renew(self) -> None:
+        """Replace the instance by a new one; the library stays loaded."""
+        with suppress(Exception):  # FMPy raises bare Exceptions; a refusal to terminate does not matter.
+            if self.initialized:
+                self.fmu.terminate()
+        self.initialized = False
+        component, self.component = self.component, None
+        getattr(self.fmu, f"{self.prefix}FreeInstance")(component)
+        self._instantiate()
+
     def remove(self) -> None:
         """Delete the folder, unless it is foreign."""
         if self._folder is not None and self._folder != self.place and not self.keeps_library:
             shutil.rmtree(self._folder, ignore_errors=True)
             self._folder = None
+
+    def _load_library(self, folder: Path, library: Path) -> None:
+        """Load the library; failures raise bare Exceptions."""
+        kind = with_known_signatures(f"fmpy.fmi{self.version}", f"FMU{self.version}{self.fmpy_class}")
+        # FMPy derives the library's path from the identifier. In FMI 1.0 the names of functions begin with it.
+        names = {"modelIdentifier": library.stem}
+        if self.version == 1:
+            names = {"modelIdentifier": str(self.about.modelIdentifier), "libraryPath": str(library)}
+        self.fmu = kind(guid=self.description.guid, unzipDirectory=str(folder), instanceName=self.name, **names)
 
     def _instantiate(self) -> None:
         """Instantiate the FMU; pythonfmu gives reasons in debug messages only."""
@@ -332,11 +392,11 @@ class Instance:
                 self._words = (message or b"").decode("utf-8", "replace")
                 self.remember(self._words)
         except (KeyboardInterrupt, Terminated) as stop:  # Exceptions cannot pass through C.
-            self.stop = stop
+            self._stop = stop
 
     def raise_stop(self) -> None:
-        """Raise the stop that arrived during a call."""
-        stop, self.stop = self.stop, None
+        """Raise the stop that arrived during a message."""
+        stop, self._stop = self._stop, None
         if stop is not None:
             raise stop
 
@@ -380,20 +440,14 @@ class Instance:
         if status == WARNING:
             self.remember(f"{function} returned Warning")
             return
-        if status == DISCARD and function == self.step_name and self.version == 2:
-            reached: float | None = None
-            with suppress(Exception):  # The functions are optional.
-                reached = self.time if self.fmu.getBooleanStatus(TERMINATED) else None
-                if reached is not None:
-                    reached = max(reached, float(self.fmu.getRealStatus(LAST_SUCCESSFUL)))
-            if reached is not None:
-                words = self.last_words()
-                raise EarlyEnd(
-                    self.name,
-                    reached,
-                    f"{function} returned Discard: the FMU ended the simulation early{words and f': {words}'}",
-                    readable=True,
-                )
+        if status == DISCARD and function == self.step_name and (reached := self._end_time()) is not None:
+            words = self.last_words()
+            raise EarlyEnd(
+                self.name,
+                reached,
+                f"{function} returned Discard: the FMU ended the simulation early{words and f': {words}'}",
+                readable=True,
+            )
         if status == FATAL:  # FMI demands to abandon the instance.
             self.fmu = None
         words, name = self.last_words(), STATUS[status] if 0 <= status < len(STATUS) else status
@@ -401,6 +455,18 @@ class Instance:
             raise KeyboardInterrupt
         because = f": {words}" if words else ""
         raise CallFailed(self.name, self.time, f"{function} returned {name}{because}")
+
+    def _end_time(self) -> float | None:
+        """Return the end time if the FMU discarded a step to end."""
+        try:
+            if self.version != 2 or not self.fmu.getBooleanStatus(TERMINATED):
+                return None
+        except Exception:  # The function is optional.
+            return None
+        try:
+            return max(self.time, float(self.fmu.getRealStatus(LAST_SUCCESSFUL)))
+        except Exception:
+            return self.time
 
 
 def end_of(name: str, reached: float) -> EarlyEnd:

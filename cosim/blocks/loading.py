@@ -24,7 +24,6 @@ BITS = {1: 32, 2: 64}
 MISSING = re.compile(r"(?P<file>[^\s:/]+): cannot open shared object file: No such file")
 TOO_NEW = re.compile(r"version `(?P<name>[A-Z]+)_(?P<version>[\d.]+)' not found")
 SYMBOL = re.compile(r"undefined symbol: (?P<name>[^\s,]+)")
-UNRESOLVED = re.compile(r"version `[A-Z]+_[\d.]+' not found|undefined symbol: ")
 MAKERS = {"GLIBC": "glibc", "GLIBCXX": "libstdc++", "CXXABI": "libstdc++", "GCC": "libgcc"}
 
 
@@ -33,41 +32,8 @@ def load_error(library: Path, error: Exception, *, hidden: bool = False) -> str:
     text = " ".join(str(error).split())
     text = text.removeprefix(f"Failed to load shared library {library}. ")  # FMPy's prefix
     text = re.sub(rf"{re.escape(str(library.parent))}/?", "", text)
-    # FMPy raises a bare Exception.
-    cause = error.__context__ if error.__context__ is not None and type(error) is Exception else error
-    fault, is_linux = _header_fault(library), sys.platform == "linux"
-    is_refused = "Operation not permitted" in text or "Permission denied" in text
-    if fault is not None or (hidden and not isinstance(error, AttributeError) and UNRESOLVED.search(text)):
-        text = fault or text
-    elif match := TOO_NEW.search(text):
-        own = ""
-        if is_linux and match["name"] == "GLIBC":
-            own = f", this machine has {os.confstr('CS_GNU_LIBC_VERSION')}"
-        package = MAKERS.get(match["name"], match["name"])
-        cure = "run it on a newer system, or have the FMU built on an older one"
-        text = f"needs {package} {match['version']}{own} ({text}); {cure}"
-    elif (match := MISSING.search(text)) and isinstance(cause, OSError):
-        text = (
-            f"needs {match['file']}, which is not on this machine ({text}); install the package that has "
-            f"{match['file']}, or name its folder in LD_LIBRARY_PATH"
-        )
-    elif (match := SYMBOL.search(text)) and isinstance(error, AttributeError):
-        # The library is loaded, but an FMI function is missing.
-        cure = "export the FMU for this platform with a tool that writes it"
-        text = f"has no function {match['name']}, which FMI demands ({text}); {cure}"
-    elif match:
-        text = (
-            f"needs {match['name']}, which no library that it names has ({text}); the FMU was linked without the "
-            "library that has it: export it again, with that library"
-        )
-    elif is_refused or (
-        "failed to map segment" in text and is_linux and os.statvfs(tempfile.gettempdir()).f_flag & os.ST_NOEXEC
-    ):
-        text = (
-            f"may not be executed where FMUs are unpacked ({text}); set TMPDIR to a folder in which programs may be "
-            "executed (not mounted noexec)"
-        )
-    return f"its library {library.name}: {text}"
+    fault = _header_fault(library) or _loader_fault(text, error, hidden)
+    return f"its library {library.name}: {fault}"
 
 
 def _header_fault(library: Path) -> str | None:
@@ -84,11 +50,11 @@ def _header_fault(library: Path) -> str | None:
         return f"cannot be read: {error.strerror}"
     if head.startswith(POINTER_OF_LFS):
         return 'is a pointer of git-lfs, not the file itself; "git lfs pull" in its repository brings it'
-    maker = next((f"made for {system}" for magic, system in OTHER_SYSTEMS.items() if head.startswith(magic)), "")
-    if not maker and (len(head) < 20 or not head.startswith(ELF)):
-        maker = f"no library (it begins with {head[:8].hex(' ') or 'nothing'})"
-    if maker:
-        return f"is {maker}; export the FMU for this platform"
+    for magic, system in OTHER_SYSTEMS.items():
+        if head.startswith(magic):
+            return f"is made for {system}, though its folder is that of Linux; export the FMU for this platform"
+    if len(head) < 20 or not head.startswith(ELF):
+        return f"is no library (it begins with {head[:8].hex(' ') or 'nothing'}); export the FMU for this platform"
     bits, own_bits = BITS.get(head[4], 0), 8 * struct.calcsize("P")
     if bits != own_bits:
         return f"has {bits} bits (wrong ELF class), this Python {own_bits}; export the FMU for this platform"
@@ -98,3 +64,44 @@ def _header_fault(library: Path) -> str | None:
         other = PROCESSORS.get(processor, f"processor {processor}")
         return f"is made for {other}, this machine is {PROCESSORS[own]}; export the FMU for this platform"
     return None
+
+
+def _loader_fault(text: str, error: Exception, hidden: bool) -> str:
+    """Return the message for a text of the loader, with the remedy of a known cause."""
+    if hidden and not isinstance(error, AttributeError) and (TOO_NEW.search(text) or SYMBOL.search(text)):
+        return text
+    if match := TOO_NEW.search(text):
+        own = ""
+        if sys.platform == "linux" and match["name"] == "GLIBC":
+            own = f", this machine has {os.confstr('CS_GNU_LIBC_VERSION')}"
+        package = MAKERS.get(match["name"], match["name"])
+        return (
+            f"needs {package} {match['version']}{own} ({text}); run it on a newer system, or "
+            "have the FMU built on an older one"
+        )
+    # FMPy raises a bare Exception.
+    cause = error.__context__ if error.__context__ is not None and type(error) is Exception else error
+    if (match := MISSING.search(text)) and isinstance(cause, OSError):
+        return (
+            f"needs {match['file']}, which is not on this machine ({text}); install the "
+            f"package that has {match['file']}, or name its folder in LD_LIBRARY_PATH"
+        )
+    if match := SYMBOL.search(text):
+        if isinstance(error, AttributeError):  # The library is loaded, but an FMI function is missing.
+            return (
+                f"has no function {match['name']}, which FMI demands ({text}); export the "
+                "FMU for this platform with a tool that writes it"
+            )
+        return (
+            f"needs {match['name']}, which no library that it names has ({text}); the FMU "
+            "was linked without the library that has it: export it again, with that library"
+        )
+    is_refused = "Operation not permitted" in text or "Permission denied" in text
+    if "failed to map segment" in text and sys.platform == "linux":
+        is_refused |= bool(os.statvfs(tempfile.gettempdir()).f_flag & os.ST_NOEXEC)
+    if is_refused:
+        return (
+            f"may not be executed where FMUs are unpacked ({text}); set TMPDIR to a folder "
+            "in which programs may be executed (not mounted noexec)"
+        )
+    return text

@@ -6,6 +6,8 @@ are requested by the FMU after a solver step. Input changes are events too.
 
 from __future__ import annotations
 
+import contextlib
+import ctypes
 import math
 from collections import deque
 from collections.abc import Callable, Sequence
@@ -14,7 +16,8 @@ from pathlib import Path
 from typing import Any
 
 from cosim.blocks.instance import Instance, Step, end_of
-from cosim.blocks.solvers import Solver, SolverFailed, derivatives_of, numbers, set_states, solver
+from cosim.blocks.solvers import DOUBLES, Solver, SolverFailed, derivatives_of, numbers, solver
+from cosim.core.arrays import Array
 from cosim.core.errors import SimulationError
 from cosim.fmi.description import Way
 
@@ -29,7 +32,7 @@ LONGEST = 50  # largest solver step as a fraction 1/50 of the whole time, as in 
 MOST_EVENTS = 1000  # discrete updates at a time, or immediately consecutive events
 AT_ONCE = 1e-6  # fraction of a communication step; MOST_EVENTS within it is chattering
 CLOSE = 1e-9  # fraction of a communication step below which times are equal
-
+NO_VARIABLE = 2**32 - 1  # FMI 1.0's value reference of a state without variable
 ULPS = 4  # multiples of the spacing of doubles, too short for CVODE
 SEPARABLE = 10_000  # multiples of the spacing of doubles between two events; CVODE locates each within 100
 SHORTENED = 0.25  # share of a solver step that is tried if it does not separate two events
@@ -42,8 +45,7 @@ class ModelExchange(Instance):
 
     Attributes:
         reached: Time [s] of the solver.
-        longest: Longest step of the solver [s]; None for a share of the run, `longest_step` then has it.
-        states: Number of continuous states, like `indicators` of event indicators.
+        longest: Longest step of the solver [s]; None for a share of the run.
         max_steps: Largest number of solver steps between communication points and events; None for the solver's own.
         stops_at_events: Whether a step ends at its first event, which `handle_event` then handles.
         cause: Kind of the event at which the last step ended; "" without one.
@@ -67,7 +69,7 @@ class ModelExchange(Instance):
 
     def __init__(self, name: str, path: Path, description: Any, **settings: bool) -> None:
         super().__init__(name, path, description, **settings)
-        self.states, self.indicators = description.numberOfContinuousStates, description.numberOfEventIndicators
+        self._states, self._indicator_count = description.numberOfContinuousStates, description.numberOfEventIndicators
         # FMI 1.0 demands the call of every host.
         self.needs_completed_steps = self.version == 1 or bool(self.about.needsCompletedIntegratorStep)
         # indicator and direction → times of its last crossings, and the number of shortened steps until then
@@ -89,9 +91,18 @@ class ModelExchange(Instance):
         self.reached = self.start_time
         self.update()
         self._enter("ContinuousTime")
-        self.longest_step = self.longest or (self.stop_time - self.start_time) / LONGEST
-        self.relative_tolerance = TOLERANCE if self.tolerance is None else self.tolerance
-        self.solver = solver(self)
+        self.solver = solver(
+            self.solver_name,
+            self.fmu,
+            self.symbol,
+            states=self._states,
+            indicators=self._indicator_count,
+            start=self.start_time,
+            longest=self.longest or (self.stop_time - self.start_time) / LONGEST,
+            tolerance=TOLERANCE if self.tolerance is None else self.tolerance,
+            single_steps=self.needs_completed_steps,
+            max_steps=self.max_steps,
+        )
         self._started = True
 
     def stepping(self) -> Step:
@@ -137,7 +148,7 @@ class ModelExchange(Instance):
 
     def save_state(self) -> tuple[float, list[float]]:
         """Return time [s] and continuous states, for `restore_state`."""
-        return self.reached, numbers(self.fmu.getContinuousStates, self.states)
+        return self.reached, numbers(self.fmu.getContinuousStates, self._states)
 
     def restore_state(self, saved: tuple[float, list[float]]) -> None:
         """Take back the states before a step, whose event, if any, has not been handled."""
@@ -167,8 +178,9 @@ class ModelExchange(Instance):
                 target = event if event < end - close else max(event, end)
             state_event, step_event = self._integrate(target, ULPS * spacing)
             if state_event or step_event or at_event:
-                is_time_event = at_event and self.reached >= target
-                self.cause = "state" if state_event else "time" if is_time_event else "step"
+                self.cause = (
+                    "state" if state_event else "step" if self.reached < target else "time" if at_event else "step"
+                )
                 if self.stops_at_events:
                     return
                 if end - self.reached <= close and (self.awaits_inputs or self._is_changed_at(end, close)):
@@ -211,7 +223,7 @@ class ModelExchange(Instance):
         Raises:
             SimulationError: Two events are closer together than times can be separated.
         """
-        if not self.indicators:
+        if not self._indicator_count:
             event, _, time = self.solver.step(self.reached, target)
             return bool(event), float(time)
         spacing = math.ulp(max(abs(self.reached), abs(target), target - self.start_time))
@@ -266,16 +278,22 @@ class ModelExchange(Instance):
     def _place(self, time: float, states: Sequence[float]) -> None:
         """Set time and continuous states."""
         self.fmu.setTime(time)
-        set_states(self.fmu, states)
+        self.set_states(states)
+
+    def set_states(self, states: Sequence[float] | Array) -> None:
+        """Set the continuous states."""
+        if count := len(states):
+            cells = (ctypes.c_double * count)(*states)
+            self.fmu.setContinuousStates(ctypes.cast(cells, DOUBLES), count)
 
     def _indicators(self, time: float, states: Sequence[float]) -> list[float]:
         """Return the event indicators at a point."""
         self._place(time, states)
-        return numbers(self.fmu.getEventIndicators, self.indicators)
+        return numbers(self.fmu.getEventIndicators, self._indicator_count)
 
     def _rates(self) -> list[float]:
         """Return the derivatives of the continuous states."""
-        return numbers(derivatives_of(self.fmu), self.states)
+        return numbers(derivatives_of(self.fmu), self._states)
 
     def _explain(self, error: SolverFailed) -> str:
         """Return the solver's reason with the derivative's name."""
@@ -283,7 +301,7 @@ class ModelExchange(Instance):
             return error.reason
         number, value = error.derivative
         derivatives = self.description.derivatives
-        are_scalar = len(derivatives) == self.states  # Arrays would break the numbering.
+        are_scalar = len(derivatives) == self._states  # Arrays would break the numbering.
         name = derivatives[number].variable.name if are_scalar else f"number {number + 1}"
         return (
             f"the derivative {name} is {value}, also with the shortest steps of the solver. If the solution is "
@@ -306,7 +324,7 @@ class ModelExchange(Instance):
     def _point(self) -> tuple[list[float], ...]:
         """Return continuous states, their derivatives and the event indicators."""
         states = self.save_state()[1]
-        indicators = self._indicators(self.reached, states) if self.indicators else []
+        indicators = self._indicators(self.reached, states) if self._indicator_count else []
         return states, self._rates(), indicators
 
     def update(self) -> None:
@@ -337,6 +355,16 @@ class ModelExchange(Instance):
                 "not in the future; the FMU must give a later time or none"
             )
         raise SimulationError(self.name, self.reached, fault)
+
+    def state_references(self) -> list[int]:
+        """Return the value references of the continuous states. FMI 1.0 declares them at run time only, if at all."""
+        from fmpy.fmi1 import FMICallException
+
+        count = self.description.numberOfContinuousStates
+        references = (ctypes.c_uint * count)(*[NO_VARIABLE] * count)
+        with contextlib.suppress(FMICallException):  # Some exporters do not implement it.
+            self.fmu.getStateValueReferences(references, count)
+        return list(references)
 
 
 def _is_hidden(begin: float, ahead: float, end: float, *, was: bool) -> bool:

@@ -16,7 +16,7 @@ import zipfile
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
-from functools import lru_cache
+from functools import cache, lru_cache
 from pathlib import Path, PurePosixPath
 from zlib import crc32
 
@@ -55,34 +55,36 @@ class ElfLibrary:
 
 def read_elf(content: bytes, *, symbols: bool = True) -> ElfLibrary:
     """Return the names of a library, if asked with its symbols; none for another kind of file and a damaged one."""
-    elf = ElfLibrary()
-    if not content.startswith(HEAD):
-        return elf
+    if content.startswith(HEAD):
+        with suppress(struct.error, ValueError, IndexError, OverflowError):
+            return _read(content, symbols)
+    return ElfLibrary()
+
+
+def _read(content: bytes, with_symbols: bool) -> ElfLibrary:
+    (first,) = struct.unpack_from("<Q", content, 40)
+    size, count = struct.unpack_from("<HH", content, 58)
+    sections = [struct.unpack_from("<IIQQQQI", content, first + k * size) for k in range(count)]
 
     def text(start: int) -> str:
         return content[start : content.index(b"\0", start)].decode("utf-8", "replace")
 
-    try:
-        (first,) = struct.unpack_from("<Q", content, 40)
-        size, count = struct.unpack_from("<HH", content, 58)
-        sections = [struct.unpack_from("<IIQQQQI", content, first + k * size) for k in range(count)]
-        for _, kind, _, _, offset, length, link in sections:
-            strings = sections[link][4] if kind in (DYNAMIC, DYNAMIC_SYMBOLS) else 0
-            if kind == DYNAMIC:
-                for tag, value in struct.iter_unpack("<qQ", content[offset : offset + length // 16 * 16]):
-                    if tag == NEEDED:
-                        elf.needed.add(text(strings + value))
-                    elif tag == SONAME:
-                        elf.soname = text(strings + value)
-            elif kind == DYNAMIC_SYMBOLS and symbols:
-                table = np.frombuffer(content, SYMBOL, length // SYMBOL.itemsize, offset)
-                binding, is_visible = table["info"] >> 4, np.isin(table["other"] & 3, VISIBLE)
-                is_defined = (table["section"] != 0) & (table["size"] > 0) & is_visible & np.isin(binding, EXPORTED)
-                elf.defined |= {text(strings + name) for name in table["name"][is_defined].tolist()}
-                is_unique = is_defined & (binding == UNIQUE)
-                elf.unique |= {text(strings + name) for name in table["name"][is_unique].tolist()}
-    except (struct.error, ValueError, IndexError, OverflowError):
-        return ElfLibrary()
+    elf = ElfLibrary()
+    for _, kind, _, _, offset, length, link in sections:
+        if kind == DYNAMIC:
+            strings = sections[link][4]
+            for tag, value in struct.iter_unpack("<qQ", content[offset : offset + length // 16 * 16]):
+                if tag == NEEDED:
+                    elf.needed.add(text(strings + value))
+                elif tag == SONAME:
+                    elf.soname = text(strings + value)
+        elif kind == DYNAMIC_SYMBOLS and with_symbols:
+            strings = sections[link][4]
+            symbols = np.frombuffer(content, SYMBOL, length // SYMBOL.itemsize, offset)
+            binding, is_visible = symbols["info"] >> 4, np.isin(symbols["other"] & 3, VISIBLE)
+            is_defined = (symbols["section"] != 0) & (symbols["size"] > 0) & is_visible & np.isin(binding, EXPORTED)
+            elf.defined |= {text(strings + name) for name in symbols["name"][is_defined].tolist()}
+            elf.unique |= {text(strings + name) for name in symbols["name"][is_defined & (binding == UNIQUE)].tolist()}
     return elf
 
 
@@ -311,9 +313,15 @@ def _needs_own_symbols(code: Code) -> bool:
         return False
     from _ctypes import dlsym  # type: ignore[attr-defined, unused-ignore]
 
-    process = ctypes.CDLL(None)._handle
+    process = _process()
     for symbol in code.symbols:
         with suppress(OSError):
             dlsym(process, symbol)
             return True
     return False
+
+
+@cache
+def _process() -> int:
+    """Return the handle of the symbols of this process."""
+    return int(ctypes.CDLL(None)._handle)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 import math
 import os
+from collections.abc import Callable
 from functools import cache, partial
 from pathlib import Path
 from types import SimpleNamespace
@@ -34,8 +35,8 @@ FAILURES = {  # CVODE's error codes with remedies
 }
 
 
-def solver(instance: Any) -> Any:
-    """Return the solver of an instance for model exchange; by default CVODE, else solve_ivp.
+def solver(name: Solver | None, fmu: Any, symbol: Callable[[str], str], **settings: Any) -> Any:
+    """Return the named solver; by default CVODE, else solve_ivp.
 
     solve_ivp replaces CVODE on platforms for which FMPy has none. Both have the same interface:
 
@@ -46,14 +47,17 @@ def solver(instance: Any) -> Any:
     reset(t, longest): Restart from the states of the FMU; no step is longer than `longest` [s] until the next reset.
     is_first: Whether the next step is the first one after a reset.
     last_step: Length of the last accepted step [s].
+
+    Args:
+        symbol: Name of an FMI function → its name in the library, for calls from C.
     """
-    if instance.solver_name != "solve_ivp":
+    if name != "solve_ivp":
         try:
-            return cvode(instance)
+            return cvode(fmu, symbol=symbol, **settings)
         except (ImportError, OSError):
-            if instance.solver_name == "cvode":
+            if name == "cvode":
                 raise
-    return SolveIvp(instance)
+    return SolveIvp(fmu, **settings)
 
 
 class SolverFailed(Exception):
@@ -86,24 +90,26 @@ class CompiledRates(ctypes.Structure):
     )
 
     @classmethod
-    def of(cls, instance: Any, data: int) -> CompiledRates | None:
+    def of(cls, fmu: Any, states: int, data: int, start: float, symbol: Callable[[str], str]) -> CompiledRates | None:
         """Return the derivatives of an FMU; None without states or compiler.
 
         Args:
             data: Offset of the pointer to the numbers within the content of a vector.
+            symbol: Name of an FMI function → its name in the library.
         """
         try:
-            if not instance.states:
+            if not states:
                 return None
             rates_function()
         except (NoCompiler, CompilerFailed):
             return None
-        fmu, derivatives = instance.fmu, derivatives_of(instance.fmu).__name__
+        derivatives = derivatives_of(fmu).__name__
         names = "SetTime", "SetContinuousStates", f"{derivatives[0].upper()}{derivatives[1:]}"
-        functions = [ctypes.cast(getattr(fmu.dll, instance.symbol(name)), ctypes.c_void_p).value for name in names]
-        component = ctypes.cast(fmu.component, ctypes.c_void_p)
-        rates = cls(component, (ctypes.c_void_p * 3)(*functions), instance.states, data, start=instance.start_time)
-        rates.names = [f"fmi{instance.version}{name}" for name in names]
+        functions = (ctypes.cast(getattr(fmu.dll, symbol(name)), ctypes.c_void_p) for name in names)
+        instance = ctypes.cast(fmu.component, ctypes.c_void_p)
+        rates = cls(instance, (ctypes.c_void_p * 3)(*(f.value for f in functions)), states, data, start=start)
+        version = next(number for number in "123" if hasattr(fmu, f"fmi{number}SetTime"))
+        rates.names = [f"fmi{version}{name}" for name in names]
         return rates
 
 
@@ -113,11 +119,27 @@ def rates_function() -> Any:
     return load_library(Path(__file__).with_name("rates.c").read_text(encoding="utf-8")).rates
 
 
-def cvode(instance: Any) -> Any:
+def cvode(
+    fmu: Any,
+    *,
+    states: int,
+    indicators: int,
+    start: float,
+    longest: float,
+    tolerance: float,
+    single_steps: bool = False,
+    max_steps: int | None = None,
+    symbol: Callable[[str], str],
+) -> Any:
     """Return FMPy's CVODE for an FMU, whose derivatives C calls if there is a compiler.
 
     CVODE's own time begins with the run, since it locates events to 100 roundings of its time.
     Failed FMU calls are stored in `failed`, because exceptions cannot pass through C.
+
+    Args:
+        single_steps: Whether `step` returns after each step of the solver.
+        max_steps: Largest number of steps between communication points and events.
+        symbol: Name of an FMI function → its name in the library, for calls from C.
     """
     from fmpy.fmi1 import FMICallException
     from fmpy.sundials import NV_DATA_S, CVodeSolver
@@ -125,9 +147,8 @@ def cvode(instance: Any) -> Any:
     from fmpy.sundials.libraries import sundials_cvode as library
     from fmpy.sundials.nvector_serial import _N_VectorContent_Serial
 
-    fmu, states, indicators, start = instance.fmu, instance.states, instance.indicators, instance.start_time
-    single_steps, longest, most = instance.needs_completed_steps, instance.longest_step, instance.max_steps or MAX_STEPS
-    compiled = CompiledRates.of(instance, _N_VectorContent_Serial.data.offset)
+    compiled = CompiledRates.of(fmu, states, _N_VectorContent_Serial.data.offset, start, symbol)
+    most = MAX_STEPS if max_steps is None else max_steps
 
     class Guarded(CVodeSolver):  # type: ignore[misc]
         is_first, goal, steps = True, math.nan, 0  # first step after a reset; last target, single steps towards it
@@ -250,7 +271,7 @@ def cvode(instance: Any) -> Any:
         input=SimpleNamespace(apply=lambda time: None),  # Inputs are constant over a communication step.
         startTime=0.0,
         maxStep=longest,
-        relativeTolerance=instance.relative_tolerance,
+        relativeTolerance=tolerance,
     )
     if compiled is not None:
         integrator.compiled = compiled  # lives as long as the solver
@@ -292,27 +313,27 @@ def numbers(function: Any, count: int) -> list[float]:
     return list(cells)
 
 
-def set_states(fmu: Any, states: Any) -> None:
-    """Set the continuous states of an FMU."""
-    if count := len(states):
-        cells = (ctypes.c_double * count)(*states)
-        fmu.setContinuousStates(ctypes.cast(cells, DOUBLES), count)
-
-
 class SolveIvp:
     """The method Radau of scipy's solve_ivp, step by step."""
 
-    def __init__(self, instance: Any) -> None:
-        self.fmu, self.states, self.indicators = instance.fmu, instance.states, instance.indicators
-        self.whole, self.tolerance, self.max_steps = (
-            instance.longest_step,
-            instance.relative_tolerance,
-            instance.max_steps,
-        )
+    def __init__(
+        self,
+        fmu: Any,
+        *,
+        states: int,
+        indicators: int,
+        start: float,
+        longest: float,
+        tolerance: float,
+        single_steps: bool = True,
+        max_steps: int | None = None,
+    ) -> None:
+        self.fmu, self.states, self.indicators = fmu, states, indicators
+        self.whole, self.tolerance, self.max_steps = longest, tolerance, max_steps
         self.discarded: Exception | None = None
         self.derivative: tuple[int, float] | None = None
         self.last_step = 0.0
-        self.reset(instance.start_time)
+        self.reset(start)
 
     def reset(self, time: float, longest: float | None = None) -> None:
         """Reread nominal values after a change of states."""
@@ -367,7 +388,9 @@ class SolveIvp:
 
     def _set(self, t: float, x: Any) -> None:
         self.fmu.setTime(t)
-        set_states(self.fmu, x[: self.states])
+        if self.states:
+            cells = (ctypes.c_double * self.states)(*map(float, x))
+            self.fmu.setContinuousStates(ctypes.cast(cells, DOUBLES), self.states)
 
     def _rates(self, t: float, x: Any) -> list[float]:
         """Return the derivatives; NaN if the FMU discards. Radau then tries a shorter step."""

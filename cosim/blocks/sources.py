@@ -86,8 +86,10 @@ class SourceBlock(Component):
     def advance(self, t: float, h: float) -> None:
         self._t = t + h
 
-    def slot(self) -> Slot | str:
+    def slot(self, cells: Any) -> Slot | str:
         """Return the C loop's slot with prepared values, or the reason for none."""
+        if self.exact_functions:
+            return f"{self.name} has values that no double holds"
         slot = Slot(0, time=self._t, scalars=len(self.outputs))
         slot.row = ctypes.addressof(self._row) + 8 * self._first
         return slot

@@ -24,7 +24,7 @@ typedef void (*Function)(void);
 
 enum { PUT, ADVANCE, GET };                                       /* what is called, as in isolation/rows.py */
 enum { FINISHED, STATUS, NOT_FINITE, UNFIT, NO_ITEM, TERMINATED, PAUSED, LATER, ASKED }; /* why `run` returned */
-enum { DOUBLES, FLOAT32, INT8, UINT8, INT16, UINT16, INT32, UINT32, INT64, BOOL8 };
+enum { DOUBLES, FLOAT32, INT8, UINT8, INT16, UINT16, INT32, UINT32, INT64, BOOL8, BITS64, TEXT };
 enum { TIMED = 4, MOST_TOGETHER = 64 };                           /* first steps to time; slots that step together */
 #define SLOW 50e-6                                                /* shortest step [s] that is worth a thread */
 enum { IN_PYTHON = -1, PREPARED };                                                /* version of slots that are no FMU */
@@ -40,11 +40,19 @@ typedef struct {           /* what becomes of a value on its way, at points firs
     int64_t count;
 } Link;
 
+typedef struct {           /* a value that no double holds: 64 bits, or a text of its own */
+    int64_t is_text;
+    uint64_t bits;
+    char *text;
+} Cell;
+
 typedef struct {           /* a connection; every: points between two transfers */
     const double *from;
     double *to;
     int64_t every, links;
     const Link *link;
+    const Cell *from_cell; /* a connection of such values, otherwise NULL */
+    Cell *to_cell;
 } Transfer;
 
 typedef struct {           /* variables of one type, moved in one call; `values` is their place in the row where they are doubles */
@@ -53,9 +61,16 @@ typedef struct {           /* variables of one type, moved in one call; `values`
     size_t count, scalars;
     void *values;
     double *row, low, high;
+    Cell *cell;            /* of values that no double holds, otherwise NULL */
     size_t finite;         /* so many of the first values got must be finite */
     int32_t type;
 } Move;
+
+typedef struct {           /* a polynomial through the last values of inputs, the newest first; see master/extrapolation.py */
+    int64_t degree, inputs, points, room; /* points: so many there are, of `room` */
+    double *const *place;  /* of the inputs in the row */
+    double *times, *values;
+} Course;
 
 /* An FMU; or (PREPARED) values that were prepared, `scalars` for each point from `since` on */
 typedef struct {
@@ -71,6 +86,7 @@ typedef struct {
     int64_t since;
     double time;           /* to which it has come */
     double reached;        /* FMI 3.0: what fmi3DoStep says */
+    Course *past, *course; /* of extrapolated and of interpolated inputs, or NULL */
     int64_t phase, move;   /* where to go on */
     int64_t called, moving; /* what was called, with which of its moves, and its status: for Python to judge */
     int64_t batch;         /* so many slots from this one on may step at the same time */
@@ -78,12 +94,13 @@ typedef struct {
     double least;          /* time of the fastest of the first `timed` steps [s] */
     int32_t status, why, timed; /* why: reason for a return, found ahead of its turn */
     bool event, terminate, early;
+    bool again;            /* the inputs of the step's end are put after it */
     bool stepped;          /* in this step */
 } Slot;
 
 typedef struct {
     double begin, h;
-
+    double since, length;  /* of all steps, if `length` is not 0 */
     int64_t slots, holds, width, next, last;
     int64_t pause;         /* Python is asked before the row of this point is kept */
     Slot *slot;
@@ -93,6 +110,9 @@ typedef struct {
     volatile int64_t *counter, *doing; /* for observers: number of complete rows, current call */
     const volatile int64_t *asked;     /* not 0: Python is wanted after this step */
     int64_t place;                  /* slot where to go on */
+    Cell *cells;
+    int64_t cell_count;
+    bool changed;                   /* whether a cell has another value than in the last row */
     int64_t threads;                /* that may step slots beside this one */
     void *pool;                     /* of these threads, made when they are needed */
 } Plan;
@@ -139,18 +159,77 @@ static double apply_link(const Link *link, int64_t k, double v, bool *ok)
     return v;
 }
 
-static bool make_transfers(const Transfer *transfers, int64_t count, int64_t k)
+/* Copies a text, or 64 bits; returns whether the value is another one. Without memory a text stays as it is. */
+static bool assign(Cell *cell, const void *value)
+{
+    if (!cell->is_text) {
+        const bool differs = memcmp(&cell->bits, value, sizeof cell->bits) != 0;
+        memcpy(&cell->bits, value, sizeof cell->bits);
+        return differs;
+    }
+    const char *text = value ? value : "";
+    if (cell->text && !strcmp(cell->text, text)) return false;
+    char *copy = malloc(strlen(text) + 1);
+    if (!copy) return false;
+    free(cell->text);
+    cell->text = strcpy(copy, text);
+    return true;
+}
+
+static bool make_transfers(Plan *p, const Transfer *transfers, int64_t count, int64_t k)
 {
     for (int64_t n = 0; n < count; n++) {
         const Transfer *t = &transfers[n];
         bool ok = true;
         if (t->every != 1 && k % t->every) continue;
+        if (t->to_cell) {
+            const Cell *from = t->from_cell;
+            p->changed |= assign(t->to_cell, from->is_text ? (const void *)from->text : &from->bits);
+            continue;
+        }
         double v = *t->from;
         for (int64_t m = 0; m < t->links; m++) v = apply_link(&t->link[m], k, v, &ok);
         *t->to = v;
         if (!ok) return false;
     }
     return true;
+}
+
+/* Drops points at or after the new one, because a step was taken back. */
+static void add_point(Course *c, double t)
+{
+    const size_t row = (size_t)c->inputs, room = (size_t)c->room;
+    while (c->points && c->times[0] >= t) {
+        c->points--;
+        memmove(c->times, c->times + 1, (room - 1) * sizeof(double));
+        memmove(c->values, c->values + row, (room - 1) * row * sizeof(double));
+    }
+    memmove(c->times + 1, c->times, (room - 1) * sizeof(double));
+    memmove(c->values + row, c->values, (room - 1) * row * sizeof(double));
+    c->times[0] = t;
+    for (size_t n = 0; n < row; n++) c->values[n] = *c->place[n];
+    if (c->points < c->room) c->points++;
+}
+
+/* Into the row, the means from t over h */
+static void put_means(const Course *c, double t, double h)
+{
+    const size_t row = (size_t)c->inputs;
+    const double *time = c->times, ahead = (t - time[0]) + 0.5 * h;
+    for (size_t n = 0; n < row && c->degree && c->points > 1; n++) {
+        const double *v = c->values + n, gap = time[0] - time[1], slope = (v[0] - v[row]) / gap;
+        double mean = v[0] + ahead * slope;
+        if (c->degree > 1 && c->points > 2) {
+            const double before = (v[row] - v[2 * row]) / (time[1] - time[2]);
+            mean = mean + (ahead * (ahead + gap) + h * h / 12.0) * ((slope - before) / (time[0] - time[2]));
+        }
+        *c->place[n] = mean;
+    }
+}
+
+static void put_newest(const Course *c)
+{
+    for (int64_t n = 0; n < c->inputs; n++) *c->place[n] = c->values[n];
 }
 
 #define ENCODED(TYPE) for (size_t n = 0; n < m->scalars; n++) ((TYPE *)m->values)[n] = (TYPE)m->row[n]; break
@@ -160,6 +239,12 @@ static bool make_transfers(const Transfer *transfers, int64_t count, int64_t k)
 static bool encode(const Move *m)
 {
     if (m->type == DOUBLES) return true;
+    if (m->cell) {
+        for (size_t n = 0; n < m->scalars; n++)
+            if (m->type == TEXT) ((const char **)m->values)[n] = m->cell[n].text;
+            else ((uint64_t *)m->values)[n] = m->cell[n].bits;
+        return true;
+    }
     for (size_t n = 0; n < m->scalars; n++)
         if (m->type == FLOAT32) {
             if (fabs(m->row[n]) > m->high) return false;
@@ -179,8 +264,10 @@ static bool encode(const Move *m)
     return true;
 }
 
-static void decode(const Move *m)
+static void decode(Plan *p, const Move *m)
 {
+    for (size_t n = 0; m->cell && n < m->scalars; n++)
+        p->changed |= assign(&m->cell[n], m->type == TEXT ? ((const void **)m->values)[n] : &((uint64_t *)m->values)[n]);
     switch (m->type) {
     case FLOAT32: DECODED(float);
     case INT8: DECODED(int8_t);
@@ -231,7 +318,8 @@ static int put_inputs(const Plan *p, Slot *s)
 static void make_step(Slot *s)
 {
     const double begin = s->timed < TIMED ? seconds() : 0.0;
-    if (s->version == 2) s->status = ((Step2)s->step)(s->instance, s->begin, s->length, 1);
+    if (!s->step) s->status = 0; /* outputs are read again, at the end of a step */
+    else if (s->version == 2) s->status = ((Step2)s->step)(s->instance, s->begin, s->length, 1);
     else
         s->status = ((Step3)s->step)(s->instance, s->begin, s->length, true, &s->event, &s->terminate, &s->early, &s->reached);
     if (s->timed < TIMED) {
@@ -248,19 +336,35 @@ static int go_on(Plan *p, Slot *s, int64_t k, bool ahead)
     int status, why;
     switch (s->phase) {
     case PULLS:
-        s->begin = k == 1 ? p->begin : p->begin + (double)(k - s->every) * p->h;
-        s->length = (p->begin + (double)k * p->h) - s->begin;
+        if (p->length > 0.0) {
+            s->begin = p->since;
+            s->length = p->length;
+        } else {
+            s->begin = k == 1 ? p->begin : p->begin + (double)(k - s->every) * p->h;
+            s->length = (p->begin + (double)k * p->h) - s->begin;
+        }
         s->stepped = false;
-        if (!make_transfers(s->pull, s->pulls, k)) return NO_ITEM;
+        if (s->course && !s->course->points) add_point(s->course, s->begin);
+        if (!make_transfers(p, s->pull, s->pulls, k)) return NO_ITEM;
         if (s->version == PREPARED) {
             memcpy(s->row, s->prepared + (size_t)(k - s->since) * s->scalars, s->scalars * sizeof(double));
             s->time = s->begin + s->length;
             return FINISHED;
         }
+        if (s->past) {
+            add_point(s->past, s->begin);
+            put_means(s->past, s->begin, s->length);
+        }
+        if (s->course) {
+            add_point(s->course, s->begin + s->length);
+            put_means(s->course, s->begin, s->length);
+        }
         s->move = 0;
         s->phase = PUTS; /* fall through */
     case PUTS:
         if ((why = put_inputs(p, s)) != FINISHED) return why;
+        if (s->past) put_newest(s->past);
+        if (s->course) put_newest(s->course);
         s->phase = STEPS; /* fall through */
     case STEPS:
         if (ahead) return FINISHED;
@@ -280,8 +384,8 @@ static int go_on(Plan *p, Slot *s, int64_t k, bool ahead)
         } /* fall through */
     case STEPPED:
         s->time = s->begin + s->length;
-        if (!make_transfers(s->late, s->lates, k)) return NO_ITEM;
-        s->move = s->lates ? 0 : s->puts;
+        if (!make_transfers(p, s->late, s->lates, k)) return NO_ITEM;
+        s->move = s->lates || s->again ? 0 : s->puts;
         s->phase = LATE_PUTS; /* fall through */
     case LATE_PUTS:
         if ((why = put_inputs(p, s)) != FINISHED) return why;
@@ -294,7 +398,7 @@ static int go_on(Plan *p, Slot *s, int64_t k, bool ahead)
             s->phase = GOT;
             if (status != 0) return judge(s, GET, status); /* fall through */
     case GOT:
-            decode(&s->get[s->move]);
+            decode(p, &s->get[s->move]);
             if (!all_finite(s->get[s->move].row, s->get[s->move].finite)) return NOT_FINITE;
             s->move++;
             s->phase = GETS;
@@ -394,8 +498,18 @@ static void step_together(Plan *p, Slot *first, int64_t k)
 }
 #endif
 
+/* Another value of a cell, from the caller. */
+void put_cell(Cell *cell, const void *value)
+{
+    assign(cell, value);
+}
+
 void finish(Plan *p)
 {
+    for (int64_t n = 0; n < p->cell_count; n++) {
+        free(p->cells[n].text);
+        p->cells[n].text = NULL;
+    }
 #ifndef _WIN32
     Pool *pool = p->pool;
     if (!pool) return;
@@ -424,10 +538,17 @@ static int make_round(Plan *p, int64_t k)
         s->why = FINISHED;
         if (why != FINISHED || (why = go_on(p, s, k, false)) != FINISHED) return why;
     }
-    if (!make_transfers(p->hold, p->holds, k)) return NO_ITEM;
+    if (!make_transfers(p, p->hold, p->holds, k)) return NO_ITEM;
     return FINISHED;
 }
 
+/* One step of all slots at point `next`, from `since` over `length`, or on from where Python was asked. */
+int step_once(Plan *p)
+{
+    const int why = make_round(p, p->next);
+    if (why == FINISHED) p->place = 0;
+    return why;
+}
 
 /* Until `last`, or until Python is asked: then `place` and the slot's `phase` and `move` tell where, and go on from there. */
 int run(Plan *p)
@@ -439,7 +560,7 @@ int run(Plan *p)
         if (p->place <= p->slots) {
             if ((why = make_round(p, k)) != FINISHED) return why;
             p->place = p->slots + 1;
-            if (k == p->pause) return PAUSED;
+            if (k == p->pause || p->changed) return PAUSED;
         }
         memcpy(p->table + k * p->width, p->row, (size_t)p->width * sizeof(double));
         *p->counter = k + 1;

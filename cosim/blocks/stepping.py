@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from cosim.blocks.component import Row
-from cosim.fmi.fmi_types import Exchange
+from cosim.fmi.fmi_types import Exchange, FmiType
 from cosim.fmi.native.compiler import CompilerFailed, NoCompiler, load_library
 
 SOURCE = Path(__file__).with_name("stepping.c")
@@ -29,6 +29,7 @@ C_TYPES = {
 }
 NAMES = ("double", "float", "int8", "uint8", "int16", "uint16", "int32", "uint32", "int64", "bool")
 TYPES = {getattr(ctypes, f"c_{name}"): number for number, name in enumerate(NAMES)}  # numbering of stepping.c
+BITS64, TEXT = len(NAMES), len(NAMES) + 1  # of values that no double holds
 
 
 class StopReason(IntEnum):
@@ -67,12 +68,29 @@ class ConvertedLink(ctypes.Structure):
     _fields_ = _fields("int32 kind; int64 first, last; double a, b; pointer values, marks, past; int64 count")
 
 
+class Cell(ctypes.Structure):
+    """Value that no double holds: 64 bits, or a text of which C has a copy."""
+
+    _fields_ = _fields("int64 is_text; uint64 bits; pointer text")
+
+    def value(self, kind: FmiType) -> Any:
+        """Return the value of a type."""
+        if self.is_text:
+            return ctypes.string_at(self.text).decode("utf-8", "replace")
+        return kind.ctype(self.bits).value
+
+    def set(self, kind: FmiType, value: Any) -> None:
+        """Set the value of a type, in the library of the loop."""
+        encoded = kind.encode(value)
+        library().put_cell(ctypes.byref(self), encoded if self.is_text else ctypes.byref(ctypes.c_uint64(encoded)))
+
+
 class Transfer(ctypes.Structure):
     """Transfer between two places of the row, every so many points."""
 
     keeping: Any
 
-    _fields_ = _fields("pointer origin, to; int64 every, links; pointer link")
+    _fields_ = _fields("pointer origin, to; int64 every, links; pointer link, from_cell, to_cell")
 
 
 class Move(ctypes.Structure):
@@ -82,15 +100,15 @@ class Move(ctypes.Structure):
     """
 
     _fields_ = _fields(
-        "pointer function, references; size count, scalars; pointer values, row; double low, high; size finite; "
-        "int32 type"
+        "pointer function, references; size count, scalars; pointer values, row; double low, high; pointer cell; "
+        "size finite; int32 type"
     )
 
 
 class Slot(ctypes.Structure):
     """Data of one stepped component for the loop in C.
 
-    The component is an FMU of FMI `version` 2 or 3. With version 0 it is a
+    The component is an FMU of FMI `version` 2 or 3; without `step` its outputs are read again. With version 0 it is a
     source with `scalars` values prepared for each point, beginning at point `since`. Python steps one with version
     `IN_PYTHON`.
     """
@@ -100,17 +118,26 @@ class Slot(ctypes.Structure):
     _fields_ = _fields(
         "int32 version; pointer step, instance; int64 every, doing, pulls, lates, puts, gets; "
         "pointer pull, late, put, get, prepared, row; size scalars; int64 since; double time, reached; "
-        "int64 phase, move, called, moving, batch; double begin, length, least; "
-        "int32 status, why, timed; bool event, terminate, early, stepped"
+        "pointer past, course; int64 phase, move, called, moving, batch; double begin, length, least; "
+        "int32 status, why, timed; bool event, terminate, early, again, stepped"
     )
+
+
+class Course(ctypes.Structure):
+    """Polynomial through the last values of inputs, `points` of them, the newest first."""
+
+    keeping: Any
+
+    _fields_ = _fields("int64 degree, inputs, points, room; pointer place, times, values")
 
 
 class Plan(ctypes.Structure):
     """Complete state of the C loop."""
 
     _fields_ = _fields(
-        "double begin, h; int64 slots, holds, width, next, last, pause; "
-        "pointer slot, hold, row, table, counter, doing, asked; int64 place, threads; pointer pool"
+        "double begin, h, since, length; int64 slots, holds, width, next, last, pause; "
+        "pointer slot, hold, row, table, counter, doing, asked; int64 place; pointer cells; "
+        "int64 cell_count; bool changed; int64 threads; pointer pool"
     )
 
 
@@ -129,7 +156,8 @@ def library() -> Any:
     try:
         loop = load_library(SOURCE.read_text(encoding="utf-8"))
         loop.run.argtypes, loop.run.restype = [ctypes.POINTER(Plan)], ctypes.c_int
-
+        loop.step_once.argtypes, loop.step_once.restype = [ctypes.POINTER(Plan)], ctypes.c_int
+        loop.put_cell.argtypes, loop.put_cell.restype = [ctypes.POINTER(Cell), c_void_p], None
         loop.finish.argtypes, loop.finish.restype = [ctypes.POINTER(Plan)], None
     except NoCompiler:
         raise NotCompiled("no C compiler") from None
@@ -138,12 +166,15 @@ def library() -> Any:
     return loop
 
 
-def move(function: Any, exchange: Exchange, row: Row) -> Move:
+def move(function: Any, exchange: Exchange, row: Row, cells: ctypes.Array[Cell]) -> Move:
     """Return a get or set call for C."""
-    kind, place = exchange.kind, ctypes.addressof(row) + 8 * exchange.places.start
+    kind, start, cell = exchange.kind, exchange.places.start, None
     references, count, values, scalars = exchange.arguments
-    pointer, number = ctypes.cast(function, c_void_p), TYPES[kind.ctype]
-    return Move(pointer, references, count, scalars, values, place, kind.low, kind.high, exchange.finite, number)
+    pointer, finite = ctypes.cast(function, c_void_p), exchange.finite
+    place, number = ctypes.addressof(row) + 8 * start, TYPES.get(kind.ctype, BITS64)
+    if kind.beside:
+        place, cell, number = 0, ctypes.addressof(cells[start]), BITS64 if kind.is_whole else TEXT
+    return Move(pointer, references, count, scalars, values, place, kind.low, kind.high, cell, finite, number)
 
 
 def address_of(buffer: Any) -> int | None:

@@ -7,13 +7,14 @@ from __future__ import annotations
 
 import ctypes
 import math
-from collections.abc import Callable, Hashable, Iterable, Mapping
+from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any
 
-from cosim.blocks.component import Component, Row, Signal
+from cosim.blocks.component import PUT, Component, Row, Signal
 from cosim.blocks.instance import Instance
+from cosim.blocks.stepping import Move, Slot, StopReason, move
 from cosim.core.errors import NotFinite, SimulationError
 from cosim.fmi.description import enumeration_items, is_difference, unit_definition, unit_of
 from cosim.fmi.fmi_types import Exchange, element_names, elements, input_aliases, is_negated, kinds_of, negative
@@ -219,7 +220,7 @@ class FmuVariables(Component):
         values = self._with_aliases(values)
         for exchange in self.inward:
             try:
-                self.show_values(exchange, values)
+                self._show(exchange, values)
                 continue
             except (TypeError, ValueError):  # No start value, or none of its type.
                 pass
@@ -232,12 +233,17 @@ class FmuVariables(Component):
                         raise
             self._target(exchange)[exchange.places] = [exchange.kind.nothing] * exchange.count
 
-    def show_values(self, exchange: Exchange, values: Mapping[str, Any], default: Any = None) -> None:
+    def _show(self, exchange: Exchange, values: Mapping[str, Any], default: Any = None) -> None:
         """Store the values of variables by name, else their start values, else the default."""
         pairs = ((v, values.get(v.name, v.start)) for v in exchange.variables)
         self._target(exchange)[exchange.places] = [
             x for v, value in pairs for x in elements(exchange.kind, v, default if value is None else value)
         ]
+
+    def show_outputs(self, exchanges: Sequence[Exchange]) -> None:
+        """Store the start values of variables that have no value until an event; without one, zero or no text."""
+        for exchange in exchanges:
+            self._show(exchange, {}, exchange.kind.nothing)
 
     def show_changes(self, values: Mapping[str, Any]) -> None:
         """Store the values that an event has set for unconnected inputs in the row."""
@@ -273,3 +279,27 @@ class FmuVariables(Component):
                     f"the value is {value}, which is no finite number; check the component's inputs and parameters, or "
                     "take a shorter step",
                 )
+
+    # -- moved by C ---------------------------------------------------------------------------
+
+    def moves(self, cells: Any) -> tuple[list[Move], list[Move]] | None:
+        """Return C's calls to put and get values; None if there are binary values.
+
+        Args:
+            cells: Values beside the row.
+        """
+        if any(exchange.kind.ctype is None for exchange in (*self.fed, *self.read)):
+            return None
+        puts = [move(e.set.func, e, self._row, cells) for e in self.fed]
+        gets = [move(e.get.func, e, self._row, cells) for e in self.read]
+        return puts, gets
+
+    def raise_error_of_move(self, reason: StopReason, slot: Slot) -> None:
+        """Raise the error of a transfer by C; warnings are only logged."""
+        if reason == StopReason.NOT_FINITE:
+            self._raise_not_finite(self.read[slot.moving])
+        elif reason == StopReason.UNFIT:
+            self.put_in(self.fed[slot.moving])
+        else:
+            verb, exchanges = ("Set", self.fed) if slot.called == PUT else ("Get", self.read)
+            self._judge(verb, exchanges[slot.moving], slot.status)

@@ -23,8 +23,9 @@ import numpy as np
 from cosim.blocks.compiling import LIMIT, permission
 from cosim.blocks.coupling import Assumption
 from cosim.blocks.event_mode import EventFmu
+from cosim.blocks.fmu import FmuBlock
 from cosim.core.arrays import far_beyond
-from cosim.core.errors import CosimError, InputError, Interrupted, Signalled, SimulationError
+from cosim.core.errors import CosimError, InputError, Interrupted, Signalled, SimulationError, TimedOut
 from cosim.core.messages import CheckWarning, Note
 from cosim.core.text import join_names
 from cosim.files.state_file import pack, unpack
@@ -49,6 +50,7 @@ NOISE = 10.0  # the same relative to differences between equal calls
 IRREGULAR = 0.37  # displacement of the second point, in sizes of an input
 OTHERS = -0.37, -0.9, 0.9  # displacements of further points, for a component that refuses the first two
 BEYOND = 2  # steps beyond the end of the run that saved a state
+MOST_NAMED = 6  # signals of a message
 LONGEST_MEASUREMENT = 20.0  # [s] with the first step, without loading; less with a shorter `limits: total`
 LEAST_FIRST_STEP = 0.1  # [s] that is left for the first step
 SILENT = 2.0  # [s] before a note tells of the measurement
@@ -156,7 +158,9 @@ def without_ended_states(
     """
     state = {} if start.state is None else unpack(start.state)
     states = state.get("components", {})
-    saved = {name: states[name] for name in system.fmus if states.get(name)}
+    saved = {
+        c.name: states[c.name] for s in system.stages if isinstance(c := s.component, FmuBlock) and states.get(c.name)
+    }
     if not saved:
         return start, []
     try:
@@ -214,8 +218,10 @@ def measure_feedthrough(master: Master) -> Feedthrough:
             failure = "" if sweep else f": {error}"
             break
     undeclared = frozenset[str]().union(*undeclared_inputs(system).values())
-    members = [member for loop in system.opened for member in members_of(loop, master)]
-    asked = [(member, [k for k in member.inputs if system.columns[k] in undeclared]) for member in members]
+    asked = []
+    for member in (m for loop in system.opened for m in members_of(loop, master)):
+        if places := [k for k in member.inputs if system.columns[k] in undeclared]:
+            asked.append((member, places))
     first_pairs, first_inputs = _measure(master, asked)
     for component in master.components:
         master.announce(component).start()
@@ -279,45 +285,48 @@ def with_feedthrough(
     undeclared = undeclared_inputs(system) if system.assumed else {}
     planned, opened = system, list[Loop]()
     if undeclared:
-        scenario, given, spent = file.scenario, file.scenario.limits or Limits(), [0.0]
+        given = file.scenario.limits or Limits()
         total = min(given.total or LONGEST_MEASUREMENT, LONGEST_MEASUREMENT)
         load = given.load or LOADING + (LIMIT if permission.get() else 0.0)
-
-        def limits() -> Limits:
-            """Return the limits of the time that is left."""
-            return given.model_copy(update={"total": max(total - spent[0], LEAST_FIRST_STEP), "load": load})
-
+        limits, spent = given.model_copy(update={"total": max(total, LEAST_FIRST_STEP), "load": load}), [0.0]
         note = Note(
             f"measuring which outputs of {join_names([*undeclared])} follow their inputs at once, which these FMUs "
-            f"do not declare: at most {total:g} s"
+            f"do not declare: at most {limits.total:g} s"
         )
         timer = Timer(SILENT, tell, (note,))
         timer.daemon = True
         timer.start()
         try:
             try:
-                measured = examine(measure_feedthrough, system, (1, scenario.step), worker, limits(), spent=spent)
+                measured = examine(measure_feedthrough, system, (1, file.scenario.step), worker, limits, spent=spent)
             except (Interrupted, Signalled):
                 raise
             except CosimError as error:
-                measured = Feedthrough(failure=f": {error}")
+                reason = str(error)
+                if isinstance(error, TimedOut) and spent[0] > (limits.total or LONGEST_MEASUREMENT):
+                    reason = Note(f"it takes longer than {limits.total:g} s in all, at last in {error.component}")
+                measured = Feedthrough(failure=f": {reason}")
             followed = {n: sorted({i for _, i in measured.pairs if i in inputs}) for n, inputs in undeclared.items()}
             known = measured.inputs - {entry for _, entry in measured.at_start}
-            components: dict[str, Any] = dict(scenario.components)
-            for name, inputs in undeclared.items():
-                if followed[name] or inputs <= known:  # All inputs are known, or some of them followed.
-                    stated = [entry.partition(".")[2] for entry in followed[name]]
-                    components[name] = components[name].model_copy(update={"feedthrough": stated})
-            failure = ""
-            if components != scenario.components:
+            declared = {  # where all inputs are known or some of them followed
+                n: [i.partition(".")[2] for i in followed[n]]
+                for n, inputs in undeclared.items()
+                if followed[n] or inputs <= known
+            }
+            failure, scenario = "", file.scenario
+            if declared:
+                components: dict[str, Any] = dict(scenario.components)
+                for name, followed_inputs in declared.items():
+                    components[name] = components[name].model_copy(update={"feedthrough": followed_inputs})
                 file.scenario = scenario.model_copy(update={"components": components})
+                first_step = limits.model_copy(update={"total": max(total - spent[0], LEAST_FIRST_STEP)})
                 try:
                     planned = build_system(file)
                     if planned.loops != system.loops:
-                        stepped = simulate_in(worker, planned, 1, scenario.step, limits())
+                        stepped = simulate_in(worker, planned, 1, scenario.step, first_step)
                         if isinstance(stepped.failure, (Interrupted, Signalled)):
                             raise stepped.failure
-                        failure = str(stepped.failure or "")
+                        failure = "" if stepped.failure is None else str(stepped.failure)
                 except InputError as fault:
                     failure = fault.faults[0].message
                 if failure:
@@ -326,7 +335,8 @@ def with_feedthrough(
             timer.cancel()
         held = {transfer.name for transfer in planned.held}
         unknown = (frozenset[str]().union(*undeclared.values()) - measured.inputs) & held
-        loops = (replace(loop, left_open=_note(loop, measured, unknown, failure, held)) for loop in system.opened)
+        facts = measured, unknown, failure, held
+        loops = (replace(loop, left_open=_note(system, loop, *facts)) for loop in system.opened)
         opened = [loop for loop in loops if loop.left_open]
     names = [loop.name for loop in opened]
     others = [loop for loop in planned.opened if loop.name not in names]
@@ -335,7 +345,14 @@ def with_feedthrough(
     return replace(planned, opened=(*opened, *others), assumed=False, warnings=(*warnings, *notes))
 
 
-def _note(loop: Loop, measured: Feedthrough, unknown: Collection[str], failure: str, held: Collection[str]) -> str:
+def _note(
+    system: System,
+    loop: Loop,
+    measured: Feedthrough,
+    unknown: Collection[str],
+    failure: str,
+    held: Collection[str],
+) -> str:
     """Return the warning of a loop that is left open, "" if it is none.
 
     Args:
@@ -344,23 +361,39 @@ def _note(loop: Loop, measured: Feedthrough, unknown: Collection[str], failure: 
         held: Inputs with the value of the step before.
     """
 
-    def of_loop(pairs: Sequence[Pair]) -> list[str]:
-        return [f"{o} follows {i}" for o, i in pairs if i.partition(".")[0] in loop.members]
+    def is_part(name: str) -> bool:
+        return name.partition(".")[0] in loop.members
 
-    if failure and (facts := of_loop(measured.pairs)):
+    def facts(pairs: Sequence[Pair]) -> str:
+        more = f" and {len(pairs) - MOST_NAMED} more" if len(pairs) > MOST_NAMED else ""
+        return ", ".join(f"{output} follows {entry}" for output, entry in pairs[:MOST_NAMED]) + more
+
+    if failure and (pairs := [pair for pair in measured.pairs if is_part(pair[1])]):
         return (
-            f"{loop.name} is an algebraic loop that no FMU declares: measured before the run, {join_names(facts)}. "
+            f"{loop.name} is an algebraic loop that no FMU declares: measured before the run, {facts(pairs)}. "
             "It is left open, so that some inputs have the values of the step before, because solving it fails: "
             f"{failure}"
         )
-    if facts := of_loop([pair for pair in measured.at_start if pair[1] in held]):
-        return (
-            f"{loop.name} may be an algebraic loop that no FMU declares: in initialization {join_names(facts)}, "
-            "later only with a step. It is left open, so that some inputs may have the values of the step before; "
-            "loops: {} solves it by repeated steps, if its FMUs save and restore their state; order: [...] states "
-            "that it is open, without this warning"
+    if pairs := [pair for pair in measured.at_start if is_part(pair[1]) and pair[1] in held]:
+        members = [stage.component for stage in system.stages if stage.component.name in loop.members]
+        is_real = all(not any(t.beside) and not system.signals[t.name].is_whole for t in loop.transfers)
+        can_repeat = is_real and all(
+            isinstance(m, FmuBlock) and not isinstance(m, EventFmu) and m.rolls_back for m in members
         )
-    if names := sorted(name for name in unknown if name.partition(".")[0] in loop.members):
+        cure = (
+            Note("loops: {} solves it by repeated steps")
+            if can_repeat
+            else Note(
+                "an FMU that saves and restores its state, or one without direct feedthrough, would be a cure; "
+                "order: [...] states that it is open, without this warning"
+            )
+        )
+        return (
+            f"{loop.name} may be an algebraic loop that no FMU declares: in initialization {facts(pairs)}, "
+            "later only with a step. It is left open, so that some inputs may have the values of the step "
+            f"before; {cure}"
+        )
+    if names := sorted(filter(is_part, unknown)):
         return (
             f"{loop.name} may be an algebraic loop: whether outputs follow {join_names(names)} at once is not "
             f"declared, nor measured{measured.failure}; cosim assumes that none does; feedthrough: [...] of the "

@@ -33,7 +33,6 @@ if TYPE_CHECKING:
 ROWS, BESIDE, STATE = "rows", "beside", "state"  # files of a run, in one folder
 FORMAT = 1  # version of the content of a checkpoint
 HASHED = 1 << 20  # values hashed at a time
-AGAIN = "run the scenario again from its start"
 NOT_RESTORED = (
     "its outputs differ after a saved state is restored; use an FMU that restores its state, or one that does not "
     "declare that it can"
@@ -127,20 +126,23 @@ class Keeper:
         """Go on from `start`, and begin to keep checkpoints."""
         if self.start is not None:
             if _first_difference(master.table[:1], self.start.values[:1]) is not None:
-                reason = f"the components begin with other values than in the run that was to go on; {AGAIN}"
-                raise SimulationError("the run", float(master.time[0]), reason)
+                raise SimulationError(
+                    "the run",
+                    float(master.time[0]),
+                    "the components begin with other values than in the run that was to go on; run the scenario again "
+                    "from its start",
+                )
             if self.start.unsaved(master.system):
                 self.repeated = self.start.count
             else:
                 self._restore(master, self.start)
         self._begin = self._last = time.monotonic()
-
-        def tick() -> None:
-            while not self.is_over.wait(self.interval):
-                self.asked[0] = 1
-
         if self.interval is not None:
-            threading.Thread(target=tick, daemon=True).start()
+            threading.Thread(target=self._tick, args=(self.interval,), daemon=True).start()
+
+    def _tick(self, interval: float) -> None:
+        while not self.is_over.wait(interval):
+            self.asked[0] = 1
 
     def _restore(self, master: Master, start: Continuation) -> None:
         """Restore the states of all components at a stopped run's last row.
@@ -153,21 +155,25 @@ class Keeper:
         master.done, master.table[: start.count] = start.count, start.values
         try:
             for name, memories in state.get("links", {}).items():
-                for link, memory in zip(master.links[name], memories, strict=True):
+                for link, memory in zip(master.copying.links[name], memories, strict=True):
                     link.restore(memory)
             for component in master.components:
                 master.announce(component)
                 component.restore(state["components"][component.name])
                 if last == 0 or component.name in master.system.events.get(last, {}):
                     continue  # An event may change outputs after they are recorded.
-                _, outputs = master.places(component)
+                first = master.first_places[0].get(component.name, 0) + len(component.inputs)
+                outputs = slice(first, first + len(component.outputs))
                 master.announce(component, GET)
                 component.get()
                 if _first_difference(np.array([master.row[outputs]]), start.values[last:, outputs]) is not None:
                     raise SimulationError(component.name, float(master.time[last]), NOT_RESTORED)
         except (ValueError, LookupError, TypeError, AttributeError, OverflowError) as error:  # of another system
-            reason = f"the checkpoint has no state of these components ({error}); {AGAIN}"
-            raise SimulationError("the run", float(master.time[last]), reason) from None
+            raise SimulationError(
+                "the run",
+                float(master.time[last]),
+                f"the checkpoint has no state of these components ({error}); run the scenario again from its start",
+            ) from None
         master.values[:] = start.values[last]
         if start.exact:
             master.beside[:] = start.exact[last]
@@ -187,12 +193,15 @@ class Keeper:
         if self.start is not None and k + 1 < self.start.count:
             return
         self.compare_rows(master, k + 1)
-        changes = [*(self.start.changes if self.start else ()), *(master.inbox.changes if master.inbox else ())]
-        components = dict.fromkeys(master.system.names)
-        for component in () if master.system.reruns else master.components:
-            components[component.name] = master.announce(component).checkpoint()
+        components, changes = {}, [] if self.start is None else [*self.start.changes]
+        for component in master.components:
+            master.announce(component)
+            can_save = hasattr(component, "checkpoint") and not master.system.reruns
+            components[component.name] = component.checkpoint() if can_save else None
         master.doing[0] = NOTHING
-        links = {name: [link.save() for link in chain] for name, chain in master.links.items()}
+        links = {name: [link.save(k) for link in chain] for name, chain in master.copying.links.items()}
+        if master.inbox is not None:
+            changes += master.inbox.changes
         for name in (ROWS, BESIDE):
             sync(self.place / name)
         content = {
@@ -216,7 +225,10 @@ class Keeper:
         self.repeated = 0
         place = _first_difference(master.table[: self.start.count], self.start.values)
         if place is not None:
-            reason = f"its outputs differ from the recorded ones when its steps are made again; {AGAIN}"
+            reason = (
+                "its outputs differ from the recorded ones when its steps are made again, so the run cannot go on; run "
+                "the scenario again from its start"
+            )
             component = master.system.columns[place[1]].partition(".")[0]
             raise SimulationError(component, float(master.time[place[0]]), reason)
 

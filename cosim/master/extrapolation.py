@@ -9,13 +9,16 @@ mean over the step.
 
 from __future__ import annotations
 
+import ctypes
 from collections import deque
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from cosim.blocks.component import Row
 from cosim.blocks.fmu import FmuBlock
+from cosim.blocks.stepping import Course as CCourse
 from cosim.core.arrays import Array
 from cosim.core.errors import SimulationError
 from cosim.fmi.description import takes_any_step
@@ -70,6 +73,18 @@ class Polynomial:
             return nothing if slope is None else slope, nothing
         return slope + (2.0 * (t - last) + gap) * curvature, 2.0 * curvature
 
+    def in_c(self, row: Row, places: Sequence[int], start: float) -> CCourse:
+        """Return the equivalent for the loop in C, with the points up to the start of the steps [s]."""
+        room, count = self.degree + 1 + SPARE, len(places)
+        points = [point for point in reversed(self._points) if point[0] <= start][:room] if count else []
+        place = (ctypes.c_void_p * count)(*(ctypes.addressof(row) + 8 * k for k in places))
+        times, values = (ctypes.c_double * room)(*(t for t, _ in points)), (ctypes.c_double * (room * count))()
+        values[: len(points) * count] = [value for _, row in points for value in row.tolist()]
+        buffers = place, times, values
+        course = CCourse(self.degree, count, len(points), room, *(ctypes.addressof(buffer) for buffer in buffers))
+        course.keeping = buffers
+        return course
+
     def _differences(self) -> tuple[Array | None, Array | None, float]:
         """Return the first two divided differences, as far as there are points, and the length of the last step."""
         if not self.degree or len(self._points) < 2:
@@ -111,15 +126,9 @@ class CourseStep:
         self.old = [t.target for t in system.extrapolated(component.name)]
         self.new = [t.target for t in stage.pulls if system.is_real(t)] if new_degree else []
         self._names = [system.columns[place].partition(".")[2] for place in (*self.old, *self.new)]
-        _, outputs = master.places(component)
-        self.answers, row, before = False, self._row, self._row.copy()
-        for place in self.new:  # An output may follow an interpolated input without a step.
-            row[place] += DISPLACEMENT * max(1.0, abs(row[place]))
-            read_again(component)
-            self.answers |= bool((row[outputs] != before[outputs]).any())
-            row[place] = before[place]
-        if self.new:
-            read_again(component)
+        own = [k for k, column in enumerate(system.columns) if column.partition(".")[0] == component.name]
+        outputs = own[len(component.inputs) :]
+        self.answers = bool(self.new) and self._answers(outputs)
         description = getattr(component, "description", None)
         if not self.answers and description is not None and not takes_any_step(description):
             self.new = []
@@ -157,16 +166,35 @@ class CourseStep:
         if self.answers:
             read_again(self.component)
 
+    def in_c(self) -> str | tuple[CCourse, CCourse]:
+        """Return both courses for the loop in C, or the reason against it."""
+        if self.tail:
+            return f"{self.component.name} answers interpolated inputs only after a step"
+        if self.follows:
+            return f"{self.component.name} takes derivatives of its inputs"
+        row, start = self._master.row, self._master.system.start
+        return self.past.in_c(row, self.old, start), self.course.in_c(row, self.new, start)
 
-def _follows_derivatives(master: Master, stage: Stage, names: Sequence[str], outputs: slice) -> bool:
+    def _answers(self, outputs: Sequence[int]) -> bool:
+        """Return whether an output follows an interpolated input without a step."""
+        row, answers = self._row, False
+        before = row.copy()
+        for place in self.new:
+            row[place] += DISPLACEMENT * max(1.0, abs(row[place]))
+            read_again(self.component)
+            answers |= bool((row[outputs] != before[outputs]).any())
+            row[place] = before[place]
+        read_again(self.component)
+        return answers
+
+
+def _follows_derivatives(master: Master, stage: Stage, names: Sequence[str], outputs: Sequence[int]) -> bool:
     """Return whether an FMU follows second derivatives of its inputs, seen in two steps that are taken back.
 
     Some FMUs that declare so ignore them. The means of a polynomial make a coupling of second order with any FMU.
     """
     component: Any = stage.component
-    if not (isinstance(component, FmuBlock) and component.rolls_back):
-        return False
-    if component.instance.version != 2 or not component.instance.about.canInterpolateInputs:
+    if not (isinstance(component, FmuBlock) and component.interpolates_inputs and component.rolls_back):
         return False
     h, before, answers = stage.every * master.h, master.values.copy(), []
     state = component.save_state()
@@ -174,7 +202,7 @@ def _follows_derivatives(master: Master, stage: Stage, names: Sequence[str], out
         for size in (0.0, 2.0 * DISPLACEMENT / h**2):
             orders = [0.0] * len(names), [size] * len(names)
             component.step_by_derivatives(names, orders, master.system.start, h)
-            answers.append(master.values[outputs].copy())
+            answers.append(master.values[outputs])
             component.restore_state(state, keep=True)
             master.values[:] = before
     except SimulationError:

@@ -39,8 +39,8 @@ class Initialization:
     def __init__(self, master: Master, solvers: Sequence[LoopSolver] = ()) -> None:
         self.system, self.components, self.announce = master.system, master.components, master.announce
         self.row, self.beside, self.signals = master.row, master.beside, master.values
-        self.pulls = {stage.name: master.copies(stage.transfers) for stage in self.system.stages}
-        self.held = master.copies(self.system.held)
+        self.pulls = {stage.component.name: master.copying.of(stage.transfers) for stage in self.system.stages}
+        self.held = master.copying.of(self.system.held)
         self.solver_of = {name: solver for solver in solvers for name in solver.names}
         signals, columns = self.system.signals, self.system.columns
         held = {t.target for t in self.system.held if not t.beside[1]}

@@ -17,7 +17,7 @@ an event, which a note tells. A component that makes only whole steps gets an ev
 from __future__ import annotations
 
 import math
-from collections import Counter, defaultdict, deque
+from collections import Counter, deque
 from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -27,8 +27,9 @@ from cosim.blocks.model_exchange import AT_ONCE, CLOSE, MOST_EVENTS, ULPS, Model
 from cosim.blocks.sources import SourceBlock
 from cosim.core.errors import SimulationError
 from cosim.isolation.rows import ADVANCE, GET, PUT
+from cosim.master.copying import Copies
 from cosim.master.initialization import EXACT_SWEEPS, is_settled
-from cosim.master.policies import Copies, Policy
+from cosim.master.policies import Policy
 from cosim.system.events import is_exchange, takes_part_of_step
 from cosim.system.schedule import Stage
 
@@ -60,13 +61,15 @@ class Part:
         active, takes_parts = master.actives[component.name], takes_part_of_step(stage, master.system.loops)
         self.component, self.every, self.late = component, stage.every, active.late
         self.active = active._replace(late=None, length=0.0 if takes_parts else active.length)
-        self.row, (self.inputs, _) = master.row, master.places(component)
+        first = master.first_places[0].get(component.name, 0)
+        self.row, self.inputs = master.row, slice(first, first + len(component.inputs))
         self.time, self.lead, self.ahead = master.system.start, 0.0, 0
         self.wires: dict[str, list[tuple[Part, str]]] = {}
         self.ticked: list[str] = []
         self.pending: list[str] = []
         self.has_events = isinstance(component, EventFmu)
         self.exchange: ModelExchange | None = component.instance if takes_parts and is_exchange(component) else None
+        self.state_owner = component if self.exchange is None else self.exchange
         self.may_return: bool = component.may_return if self.has_events else self.exchange is not None
         self.rank = LAST
         if not takes_parts:
@@ -86,14 +89,13 @@ class Part:
         """Return the state, None if not restorable."""
         if self.rank not in (SOURCES, REPEATABLE):
             return None
-        owner = self.exchange or self.component
-        return self.time, self.row[self.inputs], owner.save_state() if self.rank == REPEATABLE else None
+        return self.time, self.row[self.inputs], self.state_owner.save_state() if self.rank == REPEATABLE else None
 
     def go_back(self, state: Any) -> None:
         """Take back a state."""
         self.time, self.row[self.inputs], saved = state
         if self.rank == REPEATABLE:
-            (self.exchange or self.component).restore_state(saved)
+            self.state_owner.restore_state(saved)
             self.component.instance.time = self.time
 
     def forget(self, state: Any) -> None:
@@ -118,7 +120,10 @@ class Instants(Policy):
         self.master, self.begin, self.h, self.call = master, master.system.start, master.h, master.announce
         self.close = CLOSE * self.h
         self.events: list[tuple[float, str, str]] = []
-        self.counts = defaultdict[str, Counter[str]](Counter)
+        self.counts: dict[str, Counter[str]] = {}
+        self.time, self.point, self.copies = self.begin, 0, master.copying.of(())
+        self.here: Sequence[Part] = ()
+        self.joined: list[Part] = []
         self._times: deque[float] = deque(maxlen=MOST_EVENTS)
         self._copies: dict[tuple[str, ...], Copies] = {}
         self.parts = [Part(master, stage) for stage in master.system.stages]
@@ -133,7 +138,7 @@ class Instants(Policy):
         if returning:
             last = set[str]()  # components that step after all that may return early, and those that follow them
             for part, stage in zip(self.parts, master.system.stages, strict=True):
-                if part.rank == REPEATABLE and any(t.sender in last for t in stage.pulls):
+                if part.rank == REPEATABLE and any(t.origin.partition(".")[0] in last for t in stage.pulls):
                     part.rank = LAST
                 if part.rank >= LAST:
                     last.add(part.component.name)
@@ -206,17 +211,7 @@ class Instants(Policy):
                 if target - part.time > self.close:
                     if 0 < self.last_early >= place and (state := part.save()) is not None:
                         saved[part] = state
-                    component = part.component
-                    if part.has_events:
-                        part.active.copy(k)
-                        self.call(component, PUT).put()
-                        part.time = self.call(component, ADVANCE).go(target)
-                        self.call(component, GET).get()
-                    else:
-                        self.master.advance((part.active,), k, part.time, target)
-                        part.time = target
-                        if part.exchange is not None and part.exchange.cause:
-                            part.time = component.instance.time = part.exchange.reached
+                    self._step(part, target, k)
                     if part.time < target - self.close:
                         early = part
                         break
@@ -239,6 +234,19 @@ class Instants(Policy):
                 self.parts.insert(min(map(self.parts.index, ahead)), early)
                 parts = [part for part in self.parts if part.rank != WHOLE]
 
+    def _step(self, part: Part, target: float, k: int) -> None:
+        component = part.component
+        if not part.has_events:
+            self.master.advance((part.active,), k, part.time, target)
+            part.time = target
+            if part.exchange is not None and part.exchange.cause:
+                part.time = component.instance.time = part.exchange.reached
+            return
+        part.active.copy(k)
+        self.call(component, PUT).put()
+        part.time = self.call(component, ADVANCE).go(target)
+        self.call(component, GET).get()
+
     # -- instants --------------------------------------------------------------------------------
 
     def _instant(self, t: float, k: int, parts: Sequence[Part]) -> None:
@@ -256,7 +264,8 @@ class Instants(Policy):
         asked = []
         for part in here:
             fmu = part.component
-            if fmu.asks or fmu.due <= t + self.close or part.pending or fmu.has_jumped or fmu.is_stirred:
+            is_due = fmu.asks or fmu.due <= t + self.close or part.pending
+            if is_due or fmu.has_jumped or fmu.is_stirred:
                 asked.append(part)
         if not asked:
             return
@@ -272,13 +281,12 @@ class Instants(Policy):
 
     def _begin_instant(self, t: float, k: int, parts: Iterable[Part], here: Sequence[Part]) -> None:
         """Copy all values to components, and note the inputs of FMUs with event mode."""
-        self.time, self.point, self.here, self.joined = t, k, here, list[Part]()
+        self.time, self.point, self.here, self.joined = t, k, here, []
         names = tuple(part.component.name for part in parts)
         if names not in self._copies:
-            system = self.master.system
-            stages = {stage.name: stage for stage in system.stages}
-            transfers = (t for name in names for t in (*system.held_of[name], *stages[name].transfers))
-            self._copies[names] = self.master.copies(transfers)
+            stages = {stage.component.name: stage for stage in self.master.system.stages}
+            transfers = (t for name in names for t in (*self.master.system.held_of[name], *stages[name].transfers))
+            self._copies[names] = self.master.copying.of(transfers)
         self.copies = self._copies[names]
         self.copies(self.point)
         for part in here:
@@ -300,20 +308,7 @@ class Instants(Policy):
                 if update and part not in self.joined:
                     self._record(part, "input")
                 self._join(part)
-                if names := self._ticks(part):
-                    part.pending = []
-                    self.call(part.component).tick(names)
-                    part.ticked = [name for name in names if name in part.wires] or part.ticked
-                for name in names:
-                    self._record(part, f"clock {name}")
-                    timer = part.component.timers.get(name)
-                    if timer is not None and timer.interval is not None and timer.next <= self.time + self.close:
-                        raise SimulationError(
-                            f"{part.component.name}.{name}",
-                            self.time,
-                            f"the clock ticks every {timer.interval:g} s, but its FMU takes only steps of {self.h:g} "
-                            "s; shorten the step of the scenario",
-                        )
+                self._tick(part)
             self._settle()
             again = [part for part in self.joined if self.call(part.component).update()]
             for part in self.joined:
@@ -324,9 +319,12 @@ class Instants(Policy):
                 for part in self.joined:
                     self.call(part.component).leave()
                 return
-        every = ", ".join(part.component.name for part in asked)
-        reason = f"{MOST_EVENTS} updates of discrete states at one time; these FMUs ask for another one: {every}"
-        raise self._unsettled(before, asked[0], reason)
+        names = ", ".join(part.component.name for part in asked)
+        raise self._unsettled(
+            before,
+            asked[0],
+            f"{MOST_EVENTS} updates of discrete states at one time; these FMUs ask for another one: {names}",
+        )
 
     def _settle(self) -> None:
         """Exchange values and clocks until they settle."""
@@ -339,18 +337,13 @@ class Instants(Policy):
                 part.component.look()
                 self.call(part.component, GET).get()
                 fired = part.component.fired()
+                for clock in fired:
+                    self._record(part, f"clock {clock}")
+                    self._trigger(part, clock)
                 ticked, part.ticked = part.ticked, []
-                for clock in (*fired, *ticked):
-                    is_quiet = False
-                    if clock in fired:
-                        self._record(part, f"clock {clock}")
-                    for other, target in part.wires.get(clock, ()):
-                        if other in self.here:
-                            self._join(other)
-                            self.call(other.component).tick([target])
-                            self._record(other, f"clock {target}")
-                        else:
-                            other.pending.append(target)
+                for clock in ticked:
+                    self._trigger(part, clock)
+                is_quiet = is_quiet and not (fired or ticked)
                 self.copies(self.point)
             self._propagate()
             for part in self.here:
@@ -361,11 +354,12 @@ class Instants(Policy):
             settled = bytes(master.row) == before or (sweep > EXACT_SWEEPS and is_settled(row, master.row))
             if is_quiet and settled and list(master.beside) == beside:
                 return
-        reason = (
+        raise self._unsettled(
+            before,
+            self.joined[-1],
             f"{MOST_SWEEPS} exchanges of values at one event: an algebraic loop between FMUs in event mode that "
-            "exchanging values does not settle"
+            "exchanging values does not settle",
         )
-        raise self._unsettled(before, self.joined[-1], reason)
 
     def _unsettled(self, before: bytes, part: Part, reason: str) -> SimulationError:
         """Return the error of values that do not settle, about the first changed signal or a component."""
@@ -393,7 +387,36 @@ class Instants(Policy):
         """Return the clocks of a component that are due."""
         return [*part.component.due_clocks(self.time, self.close), *part.pending]
 
+    def _tick(self, part: Part) -> None:
+        """Tick the clocks of a component that are due; raise SimulationError for one that is too fast."""
+        if not (names := self._ticks(part)):
+            return
+        part.pending = []
+        self.call(part.component).tick(names)
+        part.ticked = [name for name in names if name in part.wires] or part.ticked
+        for name in names:
+            self._record(part, f"clock {name}")
+            timer = part.component.timers.get(name)
+            if timer is not None and timer.interval is not None and timer.next <= self.time + self.close:
+                raise SimulationError(
+                    f"{part.component.name}.{name}",
+                    self.time,
+                    f"the clock ticks every {timer.interval:g} s, but its FMU takes only steps of {self.h:g} s; "
+                    "shorten the step of the scenario",
+                )
+
+    def _trigger(self, part: Part, clock: str) -> None:
+        """Tick the clocks connected to a clock."""
+        for other, target in part.wires.get(clock, ()):
+            if other in self.here:
+                self._join(other)
+                self.call(other.component).tick([target])
+                self._record(other, f"clock {target}")
+            else:
+                other.pending.append(target)
+
     def _record(self, part: Part, cause: str) -> None:
-        self.counts[part.component.name][cause] += 1
+        event = self.time, part.component.name, cause
+        self.counts.setdefault(part.component.name, Counter())[cause] += 1
         if len(self.events) < MOST_RECORDED:
-            self.events.append((self.time, part.component.name, cause))
+            self.events.append(event)

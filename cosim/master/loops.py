@@ -13,7 +13,8 @@ coupled with a delay (`DelayedLoop`).
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from array import array
+from collections.abc import Sequence
 from contextlib import suppress
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -27,7 +28,7 @@ from cosim.core.arrays import Array, Flags
 from cosim.core.errors import NotFinite, SimulationError
 from cosim.core.times import first_point
 from cosim.isolation.rows import ADVANCE, GET, PUT
-from cosim.master.root_finding import RootFinding
+from cosim.master.root_finding import Outcome, RootFinding
 from cosim.scenario.scenario import LoopSettings
 from cosim.system.schedule import Loop
 from cosim.system.wiring import Transfer
@@ -39,7 +40,10 @@ SHIFT = 1e-5  # displacement of an input for differences, relative to its magnit
 PROBES = (1e-3, -1e-3, 0.5, -0.5)  # displacements that show whether an output depends on an input
 MOST_ITEMS = 4  # tried items of an enumeration
 REACTION = 1e-9  # smallest relative change of an output that counts
-PROPOSED = 1e-8  # tolerance that a message proposes
+ROUNDED = 1e-13  # residual of rounding, relative to the magnitude
+PROPOSED = 1e-8  # tolerance that a message proposes for a smaller one
+UNIT_GAIN = 1e-8  # smallest singular value of I − ∂g/∂z that counts
+UNIT_GAIN_POINTS = 0.0, 1.0, -0.37  # displacements in magnitudes of the unknowns
 RANGE = -3, 5  # exponents of 2 of other first points, where a component refuses the inputs
 MOST_DIFFERENCES = 50  # inputs of a loop without derivatives, beyond which Newton's method costs too much
 
@@ -60,16 +64,15 @@ class DelayedLoop:
 
     Args:
         reason: Why the loop is not solved.
-        nominal: Place of a delayed input in the row → its nominal value.
-        columns: Names by place.
+        places: Places of the delayed inputs in the row, `names` of them, and their nominal values.
     """
 
-    def __init__(self, reason: str, nominal: Mapping[int, float], columns: Sequence[str]) -> None:
-        self.reason, self.places, self._nominal = reason, [*nominal], np.array([*nominal.values()])
-        self._names = [columns[place] for place in nominal]
-        self._shares = list[float]()  # residual of each step, relative to its signal
-        self._largest = -1.0  # residual in nominal values
-        self.worst = self.last = dict[str, Any]()
+    def __init__(self, reason: str, places: Sequence[int], names: Sequence[str], nominal: Sequence[float]) -> None:
+        self.reason, self.places, self._names, self._nominal = reason, places, names, np.array(nominal)
+        self._shares = array("d")  # residual of each step, relative to its signal
+        self._largest = 0.0  # residual in nominal values
+        self.worst: dict[str, Any] = {}
+        self.last: dict[str, Any] = {}
         self._doublings: list[tuple[int, float]] = []  # step and size at which the residual had doubled again
 
     def note(self, t: float, assumed: Array, returned: Array) -> bool:
@@ -79,7 +82,7 @@ class DelayedLoop:
         worst = int(np.argmax(sizes))
         size, value, change = (float(each[worst]) for each in (sizes, assumed, residual))
         self.last = {"signal": self._names[worst], "time": t, "value": value, "residual": change}
-        if size > self._largest:
+        if not self.worst or size > self._largest:
             self._largest, self.worst = size, self.last
         self._shares.append(abs(change) / max(abs(value), abs(value + change)) if change else 0.0)
         if size <= 0.0 or (self._doublings and size < 2.0 * self._doublings[-1][1]):
@@ -95,7 +98,8 @@ class DelayedLoop:
         """Return the entry of the manifest."""
         if not self._shares:
             return {"reason": self.reason}
-        relative = {"median": float(np.median(self._shares)), "last": self._shares[-1]}
+        shares = np.frombuffer(self._shares)
+        relative = {"median": float(np.median(shares)), "last": float(shares[-1])}
         return {"reason": self.reason, "largest": self.worst, "last": self.last, "relative": relative}
 
 
@@ -112,15 +116,15 @@ class Member:
 
     def __init__(self, master: Master, component: Any, loop: Loop) -> None:
         self.component, self.row, self.signals = component, master.row, master.values
-        columns, name = master.system.columns, component.name
-        self.inputs = inputs = sorted({t.target for t in loop.transfers if t.receiver == name and not t.beside[1]})
-        self.outputs = outputs = sorted({t.source for t in loop.transfers if t.sender == name and not t.beside[0]})
+        own = {k for k, column in enumerate(master.system.columns) if column.partition(".")[0] == component.name}
+        self.inputs = inputs = sorted({t.target for t in loop.transfers if not t.beside[1]} & own)
+        self.outputs = outputs = sorted({t.source for t in loop.transfers if not t.beside[0]} & own)
         self.call = partial(master.announce, component)
-        self.declarations = [master.system.signals[column] for column in columns]
-        self.variables = [[columns[k].partition(".")[2] for k in ends] for ends in (outputs, inputs)]
+        self.declarations = [master.system.signals[column] for column in master.system.columns]
+        self.variables = [[master.system.columns[k].partition(".")[2] for k in ends] for ends in (outputs, inputs)]
         self.nominal, self.declared = dict.fromkeys(inputs, 1.0), set[int]()
-        for k, variable in zip(inputs, self.variables[1], strict=True):
-            if isinstance(component, FmuBlock) and (nominal := component.nominal(variable, default=0.0)) > 0.0:
+        for k, name in zip(inputs, self.variables[1], strict=True):
+            if isinstance(component, FmuBlock) and (nominal := component.nominal(name, default=0.0)) > 0.0:
                 self.nominal[k] = nominal
                 self.declared.add(k)
         self.changes_by_events = getattr(component, "changes_by_events", False)
@@ -214,20 +218,21 @@ class LoopSolver:
     """
 
     def __init__(self, loop: Loop, master: Master) -> None:
-        system = master.system
+        system, copying = master.system, master.copying
         self.row, self.signals, self.start, self._h = master.row, master.values, system.start, master.h
         self.settings = system.solving or LoopSettings()
         self.name, self.names, self.last = loop.name, loop.members, loop.members[-1]
         self._transfers, self._columns = loop.transfers, system.columns
-        ends = [(t.sender, t.receiver) for t in loop.transfers]
+        owners = [column.partition(".")[0] for column in system.columns]
+        ends = [(owners[t.source], owners[t.target]) for t in loop.transfers]
         marked = list(zip(loop.transfers, torn(loop.members, ends), strict=True))
         self.back = [t for t, is_back in marked if is_back]
         self.unknowns = [t.target for t in self.back]
-        self._forward = {n: [t for t, is_back in marked if t.receiver == n and not is_back] for n in loop.members}
-        self._into = {name: master.copies(transfers) for name, transfers in self._forward.items()}
-        self._to_back = master.copies(self.back)
-        self._known_into = {s.name: master.copies(s.late) for s in system.stages}
-        self._functions = master.functions
+        self._forward = {n: [t for t, is_back in marked if owners[t.target] == n and not is_back] for n in loop.members}
+        self._into = {name: copying.of(transfers) for name, transfers in self._forward.items()}
+        self._to_back = copying.of(self.back)
+        self._known_into = {s.component.name: copying.of(s.late) for s in system.stages}
+        self._functions = copying.functions
         self.members = members_of(loop, master)
         nominal = {place: value for member in self.members for place, value in member.nominal.items()}
         scale = np.array([nominal[place] for place in self.unknowns])
@@ -275,45 +280,13 @@ class LoopSolver:
         is_finite = np.isfinite(slopes).all()
         gain = float(np.max(np.abs(np.linalg.eigvals(slopes)), initial=0.0)) if is_finite else math.inf
         self._roots.slopes = None
-        warnings = []
-        for member in self.members:
-            if not member.inputs or member.changes_by_events:
-                continue
-            member.evaluate()
-            reacts, _ = member.reactions(member.inputs)
-            member.evaluate()
-            name, inputs, fmu = member.component.name, member.variables[1], member.component
-            missing = member.reacts & ~reacts
-            is_declared, has_reacted = any(map(fmu.depends_on, inputs)), bool(reacts.any() or member.reacts.any())
-            is_silent = is_declared and not has_reacted
-            can_repeat = isinstance(fmu, FmuBlock) and fmu.rolls_back
-            member.repeats = can_repeat and bool(missing.any() or is_silent)
-            if not (is_declared or has_reacted):
-                member.late = f"{name} answers no input without a step, and none is declared to act"
-                self._is_warned = True
-                warnings.append(
-                    f"{name}: no output in the algebraic loop {self.name} follows an input without a step, and none is "
-                    "declared to; its outputs are those after a step with the inputs of the step's start. If a step "
-                    f"shows feedthrough, state it (components.{name}.feedthrough: [{', '.join(inputs)}])"
-                )
-            elif is_silent and not can_repeat:
-                member.late = f"{name} answers only after a step and cannot save its state"
-            elif missing.any() and not can_repeat:
-                j, k = (int(each[0]) for each in np.nonzero(missing))
-                cure = "no cure: with values of the step before, they grow"
-                if gain < 1.0:
-                    cure = "a cure: they leave it open, with values of the step before, which settle"
-                raise SimulationError(
-                    name,
-                    self.start,
-                    f"{self._columns[member.outputs[j]]} follows {self._columns[member.inputs[k]]} only after a step, "
-                    f"which cannot be repeated, because the FMU saves no state; so the algebraic loop {self.name} "
-                    f"cannot be solved. order: [...] or algorithm: jacobi is {cure} (the loop gain is {gain:.3g}). The "
-                    "loop needs an FMU that saves and restores its state, or one without direct feedthrough",
-                )
+        members = [m for m in self.members if m.inputs and not m.changes_by_events]
+        warnings = [warning for member in members for warning in self._find_repeats(member, gain)]
         if late := [member for member in self.members if member.late]:
-            nominal = dict(sorted(pair for member in late for pair in member.nominal.items()))
-            self._delayed = DelayedLoop("; ".join(member.late for member in late), nominal, self._columns)
+            nominal = dict(sorted((place, size) for member in late for place, size in member.nominal.items()))
+            names = [self._columns[place] for place in nominal]
+            reason = "; ".join(member.late for member in late)
+            self._delayed = DelayedLoop(reason, [*nominal], names, [*nominal.values()])
         return warnings
 
     def step(self, t: float, h: float) -> None:
@@ -416,20 +389,9 @@ class LoopSolver:
         Raises:
             SimulationError: The iterations do not converge.
         """
-        begin, outcome = self.signals[self.unknowns], None
-        shifts = (begin + s * self._roots.scale for k in range(*RANGE) for s in (2.0**k, -(2.0**k)))
-        for start in (begin, *self._guesses, *shifts):
-            if self.method == "newton":
-                outcome = self._roots.newton(self._sweep, start, self._slopes)
-            else:
-                outcome = self._roots.anderson(self._sweep, start)
-            if outcome is not None:
-                break
-            self._roots.slopes = None
-        if outcome is None:
-            assert self._refusal is not None
-            raise self._refusal
-        worst = int(np.argmax(np.abs(outcome.residual) / np.maximum(np.abs(outcome.z), self._roots.scale)))
+        start, roots, tolerance = self.signals[self.unknowns], self._roots, self.settings.tolerance
+        outcome = self._outcome(start)
+        worst = int(np.argmax(np.abs(outcome.residual) / np.maximum(np.abs(outcome.z), roots.scale)))
         value, residual = float(outcome.z[worst]), float(outcome.residual[worst])
         signal, count = self.back[worst].name, outcome.iterations
         if outcome.converged:
@@ -438,15 +400,53 @@ class LoopSolver:
                 self._rough.append((t, residual, value, signal))
             return count
         signals = ", ".join(t.name for t in self._transfers)
-        message = (
-            f"{self.name} does not converge: after {count} iterations {signal} is {value:.6g}, and the loop "
-            f"returns {residual:+.3g} more (relative tolerance {self.settings.tolerance:g}). Signals of the loop: "
-            f"{signals}. A loop whose gain is 1 has no solution, or no unique one: change a parameter of an FMU. If it "
-            f"has a solution, start values near it, a larger tolerance or more iterations help (loops: {{tolerance: "
-            f"{PROPOSED:g}, iterations: {5 * self.settings.iterations}}}); order: [...] or algorithm: jacobi do not "
-            "solve it"
-        )
+        if self._has_unit_gain(start):
+            message = (
+                f"{self.name} has no solution, or no unique one: its gain is 1, so that the loop returns "
+                f"{residual:+.3g} more than {signal}, whatever its value. Signals of the loop: {signals}. No start "
+                "value, tolerance, order or algorithm is a cure; change its equations (a parameter of an FMU), or put "
+                "an FMU without direct feedthrough into it"
+            )
+        else:
+            more = ""
+            if abs(residual) <= ROUNDED * max(abs(value), roots.scale[worst]) and tolerance < PROPOSED:
+                more = f", or a larger tolerance: this residual is rounding (loops: {{tolerance: {PROPOSED:g}}})"
+            elif count >= self.settings.iterations:  # with fewer, no step leads nearer
+                more = f", or more iterations (loops: {{iterations: {5 * self.settings.iterations}}})"
+            message = (
+                f"{self.name} does not converge: after {count} iterations {signal} is {value:.6g}, and the loop "
+                f"returns {residual:+.3g} more (relative tolerance {tolerance:g}). Signals of the loop: {signals}. If "
+                f"it has a solution, start values near it help{more}; order: [...] or algorithm: jacobi do not solve it"
+            )
         raise SimulationError("algebraic loop", t, message)
+
+    def _has_unit_gain(self, z: Array) -> bool:
+        """Return whether I − ∂g/∂z is singular at several points about z, so that no solution is unique."""
+        if z.size > MOST_DIFFERENCES:
+            return False
+        for share in UNIT_GAIN_POINTS:
+            at = z + share * np.maximum(np.abs(z), self._roots.scale)
+            g = self._sweep(at)
+            if g is None:
+                return False
+            slopes = self._slopes(at, g, fresh=False)
+            if not np.isfinite(slopes).all() or np.linalg.svd(np.eye(z.size) - slopes)[1][-1] > UNIT_GAIN:
+                return False
+        return True
+
+    def _outcome(self, z: Array) -> Outcome:
+        """Return the end of the iterations from z."""
+        shifts = (z + s * self._roots.scale for k in range(*RANGE) for s in (2.0**k, -(2.0**k)))
+        for start in (z, *self._guesses, *shifts):
+            if self.method == "newton":
+                outcome = self._roots.newton(self._sweep, start, self._slopes)
+            else:
+                outcome = self._roots.anderson(self._sweep, start)
+            if outcome is not None:
+                return outcome
+            self._roots.slopes = None
+        assert self._refusal is not None
+        raise self._refusal
 
     def _sweep(self, z: Array) -> Array | None:
         """Return g(z), None where a component refuses its inputs."""
@@ -475,21 +475,13 @@ class LoopSolver:
         """Return ∂g/∂z, chained from components and transfers."""
         self.signals[self.unknowns] = z
         along = dict(zip(self.unknowns, np.eye(z.size), strict=True))
-
-        def gained(transfer: Transfer) -> Array:
-            """Return the slopes of a transfer's target."""
-            value, function = self.row[transfer.source], self._functions[transfer.name]
-            ahead = function(self._point, value + 1.0)
-            # The second call leaves the memory of faults as it was.
-            return float(ahead - function(self._point, value)) * along[transfer.source]
-
         for member in self.members:
             for t in self._forward[member.component.name]:
-                along[t.target] = gained(t)
+                along[t.target] = self._gain(t) * along[t.source]
             slopes = self._member_slopes(member, fresh=fresh)
             for place, row in zip(member.outputs, slopes, strict=True):
                 along[place] = sum((s * along[k] for s, k in zip(row, member.inputs, strict=True)), np.zeros(z.size))
-        return np.array([gained(t) for t in self.back])
+        return np.array([self._gain(t) * along[t.source] for t in self.back])
 
     def _member_slopes(self, member: Member, *, fresh: bool) -> Array:
         """Return the slopes of a component's outputs: its directional derivatives, or differences."""
@@ -514,6 +506,52 @@ class LoopSolver:
                     break
         self.signals[member.outputs] = base
         return slopes
+
+    def _gain(self, transfer: Transfer) -> float:
+        """Return the slope of a transfer."""
+        value, function = self.row[transfer.source], self._functions[transfer.name]
+        ahead = function(self._point, value + 1.0)
+        return float(ahead - function(self._point, value))  # This call leaves the memory of faults as it was.
+
+    def _find_repeats(self, member: Member, gain: float) -> list[str]:
+        """Note whether steps must be repeated, because outputs follow inputs only after a step; return warnings.
+
+        Args:
+            gain: Loop gain in initialization: the largest growth of a deviation around the loop.
+        """
+        member.evaluate()
+        reacts, _ = member.reactions(member.inputs)
+        member.evaluate()
+        name, inputs, fmu = member.component.name, member.variables[1], member.component
+        missing = member.reacts & ~reacts
+        is_declared, has_reacted = any(map(fmu.depends_on, inputs)), bool(reacts.any() or member.reacts.any())
+        is_silent = is_declared and not has_reacted
+        can_repeat = isinstance(fmu, FmuBlock) and fmu.rolls_back
+        member.repeats = can_repeat and bool(missing.any() or is_silent)
+        if not (is_declared or has_reacted):
+            member.late = f"{name} answers no input without a step, and none is declared to act"
+            self._is_warned = True
+            return [
+                f"{name}: no output in the algebraic loop {self.name} follows an input without a step, and none is "
+                "declared to; its outputs are those after a step with the inputs of the step's start. If a step shows "
+                f"feedthrough, state it (components.{name}.feedthrough: [{', '.join(inputs)}])"
+            ]
+        if is_silent and not can_repeat:
+            member.late = f"{name} answers only after a step and cannot save its state"
+        elif missing.any() and not can_repeat:
+            j, k = (int(each[0]) for each in np.nonzero(missing))
+            cure = "no cure: with values of the step before, they grow"
+            more = ". The loop needs an FMU that saves and restores its state, or one without direct feedthrough"
+            if gain < 1.0:
+                cure, more = "a cure: they leave it open, with values of the step before, which settle", ""
+            raise SimulationError(
+                name,
+                self.start,
+                f"{self._columns[member.outputs[j]]} follows {self._columns[member.inputs[k]]} only after a step, "
+                f"which cannot be repeated, because the FMU saves no state; so the algebraic loop {self.name} cannot "
+                f"be solved. order: [...] or algorithm: jacobi is {cure} (the loop gain is {gain:.3g}){more}",
+            )
+        return []
 
 
 def is_lost(component: Any) -> bool:

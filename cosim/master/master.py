@@ -15,19 +15,17 @@ from __future__ import annotations
 
 import bisect
 import ctypes
-import time
+import errno
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
-from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
-from cosim.blocks.component import EarlyEnd
+from cosim.blocks.component import EarlyEnd, without_step
 from cosim.blocks.event_mode import EventFmu
-from cosim.blocks.faults import LinkFunction
 from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.stepping import NEVER, NotCompiled, cores
 from cosim.core.arrays import Array
@@ -36,9 +34,10 @@ from cosim.core.errors import CallFailed, DiskFull, NotFinite, SimulationError, 
 from cosim.core.messages import Note
 from cosim.files.files import hold_stops
 from cosim.files.results import Results
-from cosim.isolation.rows import CALLS, GET, OTHER, PUT, Rows
+from cosim.isolation.rows import CALLS, GET, OTHER, Rows
 from cosim.master.c_loop import CompiledSteps
 from cosim.master.checkpoint import Keeper
+from cosim.master.copying import Copying
 from cosim.master.extrapolation import CourseStep, read_again
 from cosim.master.initialization import Initialization
 from cosim.master.instants import Instants
@@ -48,9 +47,7 @@ from cosim.master.pacing import Pacer
 from cosim.master.policies import (
     Active,
     ControlledSteps,
-    Copies,
     EqualSteps,
-    HalvedSteps,
     Policy,
     Round,
     SavedPoint,
@@ -59,18 +56,9 @@ from cosim.master.policies import (
 from cosim.system.control import rollback_obstacle
 from cosim.system.schedule import Stage, batches
 from cosim.system.system import System
-from cosim.system.wiring import Transfer, through
 
 Progress = Callable[[int], None]  # receives the current communication point
 PROGRESS_EVERY = 50
-
-
-def no_copy(k: int) -> None:
-    """Copy nothing."""
-
-
-def no_step(t: float, h: float) -> None:
-    """Make no step."""
 
 
 class StoppedRun(Exception):
@@ -117,12 +105,14 @@ class Master:
     Attributes:
         row: Signals of the run as an array of C; `values` are the same memory.
         beside: Values that no double holds.
+        last: Last communication point for which the table has a row.
         done: Number of complete rows.
         failure: Why the run stopped early, if it failed.
     """
 
     failure: SimulationError | None = None
     is_compiled = False  # whether C makes all steps
+    in_python: dict[str, Any] | None = None  # record of the components that Python has stepped beside C
 
     def __init__(
         self,
@@ -141,15 +131,15 @@ class Master:
         self.row = (ctypes.c_double * len(system.columns))()
         self.values = np.ctypeslib.as_array(self.row)
         self.beside: list[Any] = [None] * len(system.beside)
-        self.first_places = [  # of each component, in the row and beside it
-            {column.partition(".")[0]: k for k, column in reversed([*enumerate(columns)])}
-            for columns in (system.columns, system.beside)
-        ]
+        self.first_places: tuple[dict[str, int], dict[str, int]] = {}, {}  # of each component, in the row and beside it
+        for columns, first_places in zip((system.columns, system.beside), self.first_places, strict=True):
+            for k, column in enumerate(columns):
+                first_places.setdefault(column.partition(".")[0], k)
         self.rows, self.progress, self.in_c, self.loop = rows, progress, in_c, "none"
         self.table, self.row_count, self.doing, self.asked = rows.table, rows.made, rows.doing, rows.asked
         self.time = system.start + h * np.arange(steps + 1, dtype=np.float64)  # counted, not summed
-        self.done = 0
-        self.keeper: Keeper = rows.keeper or Keeper(Path(), rows.asked, [0])  # which keeps nothing
+        self.last, self.done = min(steps, len(rows.table) - 1), 0
+        self.keeper: Keeper | None = rows.keeper
         self.instants: Instants | None = None
         self.controlled: ControlledSteps | None = None
         self.courses: dict[str, CourseStep] = {}  # steps of components whose inputs follow polynomials
@@ -157,15 +147,14 @@ class Master:
         self._exact: tuple[Any, ...] = ()
         self._exact_rows = rows.given if system.beside else 0
         self._rounds: dict[tuple[Any, ...], Round] = {}
-        self.notes, self.details = list[str](), dict[str, Any]()  # details: entries of the manifest
+        self.notes: list[str] = []
         self.events, self.inbox = sorted(system.events), inbox
         self.pacer = None if system.pace is None else Pacer(system.pace, steps, h, rows.doing, progress)
         for stage in system.stages:
             if isinstance(stage.component, FmuBlock):
-                points = [k for k, changes in system.events.items() if stage.name in changes]
+                points = [k for k, changes in system.events.items() if stage.component.name in changes]
                 stage.component.await_inputs([float(self.time[k]) for k in points if k], always=bool(stage.late))
-        self.links: dict[str, Sequence[LinkFunction]] = {}  # transfer → conversions of its value
-        self.functions: dict[str, Callable[[int, Any], Any]] = {}  # transfer → function that makes these
+        self.copying = Copying(system, self.row, self.beside, steps, h)
         self.solvers = [LoopSolver(loop, self) for loop in system.loops]
 
     # -- call sequence -----------------------------------------------------------------------------
@@ -187,11 +176,13 @@ class Master:
             self.tell(0)
             self.table[0] = self.values
             self.done = self.row_count[0] = 1
-            self.keeper.begin(self)
+            if self.keeper is not None:
+                self.keeper.begin(self)
             self._step_on()
-            self.keeper.compare_rows(self, self.done)
-            if self.keeper.interval is not None:
-                self.keeper.save(self, self.done - 1)
+            if self.keeper is not None:
+                self.keeper.compare_rows(self, self.done)
+                if self.keeper.interval is not None:
+                    self.keeper.save(self, self.done - 1)
             hold_stops()  # The rows must be saved.
         except EarlyEnd as end:
             if not self.done:  # before the first row
@@ -201,7 +192,7 @@ class Master:
             # A run of a single FMU gets a last row at that time; with several, the others would have no state then.
             alone = len(self.system.fmus) == 1
             k = self.done
-            if k <= self.steps and end.readable and alone and end.reached > self.time[k - 1]:
+            if k <= self.last and end.readable and alone and end.reached > self.time[k - 1]:
                 for component in self.components:
                     component.get()
                 if self.instants is None:
@@ -218,7 +209,8 @@ class Master:
             reason = f"the disk is full: it has room for {self.done} of {self.steps + 1} rows while the run lasts"
             self.failure = DiskFull("the run", float(self.time[max(0, self.done - 1)]), reason)
         finally:
-            self.keeper.is_over.set()
+            if self.keeper is not None:
+                self.keeper.is_over.set()
             for together in self.together:
                 together.close()
             for component in self.components:
@@ -239,8 +231,6 @@ class Master:
         if system.control is not None:
             self.controlled = ControlledSteps(self, system.control)
         policy: Policy | CompiledSteps | None = self.instants or self.controlled
-        if system.halved:
-            policy = HalvedSteps(self)
         if policy is None:
             if system.courses[0] > 1:
                 self._estimate_slopes()
@@ -248,18 +238,43 @@ class Master:
                 policy = CompiledSteps(self)
             except NotCompiled as reason:
                 policy = EqualSteps(self, str(reason))
-        self.loop = policy.loop
+        self.is_compiled = isinstance(policy, CompiledSteps)
+        self.loop = policy.described if isinstance(policy, CompiledSteps) else f"Python: {policy.reason}"
         self.rows.tell_loop(self.loop)
         if self.pacer is not None:  # The preparation of the loop is no delay of the first step.
-            self.pacer.begin = time.perf_counter()
+            self.pacer.begin = self.pacer.clock()
         self._exact = tuple(self.beside)
         try:
-            policy.make_all()
+            if isinstance(policy, CompiledSteps):
+                policy.make_all()
+            else:
+                # The calls in this loop and in `advance` determine the run time.
+                values, table, row_count, asked = self.values, self.table, self.row_count, self.asked
+                advance_to, settle = policy.advance_to, None if self.instants is None else self.instants.settle
+                call_point = self.next_call(self.done)
+                for k in range(self.done, self.last + 1):
+                    advance_to(k)
+                    if k == call_point:
+                        self.change(k)
+                    if settle is not None:
+                        settle(k)
+                    if k == call_point:
+                        self.tell(k)
+                        call_point = self.next_call(k + 1)
+                    table[k] = values
+                    row_count[0] = k + 1
+                    if asked[0] and self.keeper is not None:
+                        self.keeper.look(self, k)
         finally:
             self.done = self.row_count[0]
-            policy.finish()
+            if isinstance(policy, Policy):
+                policy.finish()
+            elif policy.in_python:
+                self.in_python = policy.record()
             if self.beside:
                 self._repeat_exact(self.done)
+        if self.done <= self.steps:
+            raise OSError(errno.ENOSPC, "no room for further rows")
 
     def advance(self, actives: Iterable[Active], k: int, t: float, until: float) -> None:
         """Step components once, in their order, towards point k.
@@ -293,11 +308,11 @@ class Master:
 
     def next_call(self, k: int) -> int:
         """Return the next communication point, from k on, that needs Python in the C loop, or `NEVER`."""
-        if self.pacer is not None or self.beside:
+        if self.pacer is not None or (self.beside and not self.is_compiled):  # C returns when such values change.
             return k
         place = bisect.bisect_left(self.events, k)
         points = self.events[place : place + 1]
-        if self.keeper.repeated >= k:
+        if self.keeper is not None and self.keeper.repeated >= k:
             points.append(self.keeper.repeated)
         if self.inbox is not None:  # Progress is reported at its looks.
             points.append(self.inbox.next_look(k))
@@ -319,9 +334,11 @@ class Master:
             component.change(changes[component.name])
             if not isinstance(component, EventFmu):  # It is read at the instant.
                 self.announce(component, GET).get()
-        if changed and not self.is_compiled:  # C makes its transfers again.
-            due = [stage.name for stage in self.system.stages if k % stage.every == 0]
-            self.copies(t for name in due for t in self.system.held_of[name])(k)
+        if changed:
+            due = [stage.component.name for stage in self.system.stages if k % stage.every == 0]
+            held = [t for name in due for t in self.system.held_of[name]]
+            # C makes its transfers within the row again.
+            self.copying.of(t for t in held if not self.is_compiled or any(t.beside))(k)
 
     def tell(self, k: int) -> None:
         """Record exact values, compare repeated rows and report progress before the row of point k is stored."""
@@ -329,7 +346,8 @@ class Master:
             self._repeat_exact(k)
             self._exact = tuple(self.beside)
             self._repeat_exact(k + 1)
-        self.keeper.compare_rows(self, k)
+        if self.keeper is not None:
+            self.keeper.compare_rows(self, k)
         if self.progress is not None and k and (self.inbox is not None or k % PROGRESS_EVERY == 0):
             self.progress(k)
 
@@ -346,37 +364,6 @@ class Master:
         self.doing[0] = self.numbers[component.name] + call
         return component
 
-    def copies(self, transfers: Iterable[Transfer]) -> Copies:
-        """Return a function that makes transfers: all plain copies within the row at once, then all others."""
-        plain: tuple[list[int], list[int]] = [], []  # sources and targets
-        others: list[tuple[Any, int, Any, int, Callable[[int, Any], Any]]] = []  # from a place to a place by a function
-        for transfer in transfers:
-            name = transfer.name
-            if name not in self.links:
-                self.links[name] = transfer.through(self.system.seed, self.system.start, self.h, self.steps + 1)
-                self.functions[name] = through(self.links[name])
-            if self.links[name] or any(transfer.beside):
-                origin, goal = (self.beside if beside else self.row for beside in transfer.beside)
-                others.append((origin, transfer.source, goal, transfer.target, self.functions[name]))
-            else:
-                plain[0].append(transfer.source)
-                plain[1].append(transfer.target)
-        values, (sources, targets) = self.values, np.array(plain, np.intp)
-
-        def copy(k: int) -> None:
-            if plain[0]:
-                values[targets] = values[sources]
-            for origin, source, goal, target, function in others:
-                goal[target] = function(k, origin[source])
-
-        return copy
-
-    def places(self, component: Any) -> tuple[slice, slice]:
-        """Return the places of the inputs and of the outputs of a component in the row."""
-        first = self.first_places[0].get(component.name, 0)
-        middle = first + len(component.inputs)
-        return slice(first, middle), slice(middle, middle + len(component.outputs))
-
     def round(self, stages: Sequence[Stage], k: int, held: Collection[str] = (), *, nominal: bool = True) -> Round:
         """Return the steps of stages that are due at point k, and the copies at their end.
 
@@ -384,36 +371,47 @@ class Master:
             held: Components whose held values are copied at any point.
             nominal: Whether components may have steps of nominal length.
         """
-        due = tuple(stage.name for stage in stages if k % stage.every == 0)
+        due = tuple(stage.component.name for stage in stages if k % stage.every == 0)
         key = nominal, tuple(held), due
         if key not in self._rounds:
-            copies = self.copies(t for name in (*due, *held) for t in self.system.held_of[name])
-            in_loops = {name for loop in self.system.loops for name in loop.members}
+            copies = self.copying.of(t for name in (*due, *held) for t in self.system.held_of[name])
             actives = list[Active]()
-            for batch in batches([stage for stage in stages if stage.name in due]):
-                names = [stage.name for stage in batch]
-                some = [self.actives[name] for name in names]
+            for batch in batches([stage for stage in stages if stage.component.name in due]):
+                some = [self.actives[stage.component.name] for stage in batch]
                 some = some if nominal else [active._replace(length=0.0) for active in some]
-                apart = [getattr(s.component, "is_apart", False) and s.name not in in_loops for s in batch]
-                if sum(apart) > 1 and cores() > 1 and all(stage.every == 1 for stage in batch):
-                    self.together.append(together := Together(some, apart))
-                    actives += [Active(active.copy, no_step) for active in some]
-                    actives.append(Active(no_copy, together))
-                    some = [Active(no_copy, no_step, late=active.late) for active in some if active.late is not None]
+                in_threads = [self._steps_in_threads(stage) for stage in batch]
+                if sum(in_threads) > 1 and cores() > 1 and all(stage.every == 1 for stage in batch):
+                    self.together.append(together := Together(some, in_threads))
+                    some = [together.active()]
                 actives += some
-            for stage in self.system.closing:  # Their outputs are read again at the end of the step.
-                if stage.name in due:
-                    copy = self.copies(stage.pulls)
-                    actives.append(
-                        Active(copy, no_step, late=lambda k, c=stage.component: read_again(self.announce(c)))
-                    )
-            self._rounds[key] = (*actives, Active(copies, no_step))
+            closing = [active for name, active in self.closing.items() if name in due]
+            self._rounds[key] = (*actives, *closing, Active(copies, lambda t, h: None))
         return self._rounds[key]
 
     @cached_property
     def actives(self) -> dict[str, Active]:
         """Return the step of each component with the copies around it, once all have started."""
-        return {stage.name: self._active(stage) for stage in self.system.stages}
+        return {stage.component.name: self._active(stage) for stage in self.system.stages}
+
+    def _steps_in_threads(self, stage: Stage) -> bool:
+        """Return whether a step needs no Python while it lasts: in another process, or in the library of an FMU."""
+        component: Any = stage.component
+        if any(component.name in solver.names for solver in self.solvers):
+            return False
+        is_library = isinstance(component, FmuBlock) and not (component.changes_by_events or component.nominal_step)
+        return is_library or getattr(component, "is_apart", False)
+
+    @cached_property
+    def closing(self) -> dict[str, Active]:
+        """Return the stages in which outputs are read again at the end of a step."""
+
+        def reading(component: Any) -> Callable[[float, float], None]:
+            return lambda t, h: read_again(self.announce(component, GET))
+
+        return {
+            stage.component.name: Active(self.copying.of(stage.pulls), reading(stage.component))
+            for stage in self.system.closing
+        }
 
     def _estimate_slopes(self) -> None:
         """Extrapolate the first step by slopes of a step that is taken back, as a coupling of third order needs.
@@ -432,32 +430,34 @@ class Master:
             course.past.add(start - self.h, before[course.old])
 
     def _active(self, stage: Stage) -> Active:
-        component, name, pulls = stage.component, stage.name, self.copies(stage.pulls)
+        component, name, pulls = stage.component, stage.component.name, self.copying.of(stage.pulls)
         solver = next((solver for solver in self.solvers if name in solver.names), None)
         if solver is not None:  # The last one steps all.
-            return Active(pulls, solver.step if name == solver.last else no_step)
+            return Active(pulls, solver.step if name == solver.last else lambda t, h: None)
         step, late = component.stepping(self.doing, self.numbers[name]), None
         if any(self.system.courses):
             course = CourseStep(step, self, stage)
             if course.old or course.new:
                 self.courses[name] = step = course
         if stage.late:
-            copies = self.copies(stage.late)
+            copies, exchange = self.copying.of(stage.late), without_step(component, self.doing, self.numbers[name])
 
             def late(k: int) -> None:
                 """Set known values after the step, and read the outputs again."""
                 copies(k)
-                self.announce(component, PUT).put()
-                self.announce(component, GET).get()
+                exchange()
 
         return Active(pulls, step, stage.every, stage.every * self.h if component.nominal_step else 0.0, late)
 
     def _rows_so_far(self) -> Results:
         beside = self.rows.beside if isinstance(self.rows.beside, list) else []
-        notes, details = [*self.notes, *(note for s in self.solvers for note in s.notes())], self.details
+        notes, details = [*self.notes, *(note for s in self.solvers for note in s.notes())], dict[str, Any]()
         if self.solvers:
             details["loops"] = [solver.record() for solver in self.solvers]
-
+        if self.controlled is not None:
+            details["steps"] = self.controlled.record()
+        if self.in_python is not None:
+            details["in_python"] = self.in_python
         if self.pacer is not None:
             notes += self.pacer.notes(self.system.start)
             details["pacing"] = self.pacer.record(self.system.start)

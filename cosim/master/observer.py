@@ -119,7 +119,7 @@ class Control:
     @cached_property
     def variables(self) -> Sequence[Variable]:
         """Tunable parameters and unconnected inputs, which `set` may change."""
-        starts = {s.name: getattr(s.component, "start_values", {}) for s in self._system.stages}
+        starts = {s.component.name: getattr(s.component, "start_values", {}) for s in self._system.stages}
         return self._targets.variables(starts)
 
     def set(self, values: Mapping[str, Any]) -> dict[str, Any]:

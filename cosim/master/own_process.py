@@ -99,9 +99,9 @@ class OwnProcess:
 
     def bind(self, row: Row, first: int, beside: list[Any] | None = None, first_beside: int = 0) -> None:
         """Set the places of the component's signals in the row and in the list of exact values."""
-        self._row, self._own = row, slice(first, first + len(self.inputs) + len(self.outputs))
-        end = first_beside + len(self.exact_inputs) + len(self.exact_outputs)
-        self._beside, self._own_beside = beside or [], slice(first_beside, end)
+        counts = len(self.inputs) + len(self.outputs), len(self.exact_inputs) + len(self.exact_outputs)
+        self._row, self._beside = row, [] if beside is None else beside
+        self._own, self._own_beside = slice(first, first + counts[0]), slice(first_beside, first_beside + counts[1])
 
     def open(self, start: float, stop: float) -> None:
         """Start the process and load the component."""
@@ -134,7 +134,7 @@ class OwnProcess:
         finally:
             self._remote.worker.end()
 
-    def slot(self) -> str:
+    def slot(self, cells: Any) -> str:
         """Return the reason against the C loop."""
         return f"{self.name} has a process of its own"
 
@@ -233,17 +233,17 @@ def in_own_processes(system: System, limits: Limits) -> System:
     paths: set[Any] = set()
     stages = []
     for stage in system.stages:
-        component = stage.component
-        if isinstance(component, FmuBlock):
-            about = component.description.coSimulation
-            is_single = about is not None and about.canBeInstantiatedOnlyOncePerProcess
-            if component.name in system.apart or (is_single and component.path in paths):
-                kind: Any = OwnProcess
-                if not is_exchange(component):
-                    kind = OwnEvents if isinstance(component, EventFmu) else OwnFmu
-                    kind = type(kind.__name__, (kind, type(component)), {})
-                stage = replace(stage, component=kind(component, Limits(memory=limits.memory)))
-            elif is_single:
-                paths.add(component.path)
+        component: Any = stage.component
+        about = getattr(getattr(component, "description", None), "coSimulation", None)
+        single = bool(getattr(about, "canBeInstantiatedOnlyOncePerProcess", False))
+        path = getattr(component, "path", None)
+        if component.name in system.apart or (single and path in paths):
+            kind: Any = OwnProcess
+            if isinstance(component, FmuBlock) and not is_exchange(component):
+                kind = OwnEvents if isinstance(component, EventFmu) else OwnFmu
+                kind = type(kind.__name__, (kind, type(component)), {})
+            stage = replace(stage, component=kind(component, Limits(memory=limits.memory)))
+        elif single:
+            paths.add(path)
         stages.append(stage)
     return replace(system, stages=tuple(stages))

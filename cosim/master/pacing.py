@@ -22,6 +22,7 @@ class Pacer:
     waits for nothing until it has caught up.
 
     Attributes:
+        clock: Function that returns the time on the clock [s].
         begin: Time on the clock at which point 0 is due.
 
     Args:
@@ -38,16 +39,19 @@ class Pacer:
         h: float,
         doing: MutableSequence[int],
         progress: Callable[[int], None] | None = None,
+        *,
+        clock: Callable[[], float] = time.perf_counter,
+        sleep: Callable[[float], None] = time.sleep,
     ) -> None:
         self.pace, self.length, self.h = pace, h / pace, h
-        self._doing, self._progress = doing, progress
+        self._doing, self._progress, self.clock, self._sleep = doing, progress, clock, sleep
         self._late = np.zeros(steps + 1, np.float32)  # [s], by point
         self._behind = np.zeros(steps + 1, np.bool_)  # points that the steps reached after their time
         self.begin, self._points = 0.0, 0
 
     def wait(self, k: int) -> None:
         """Wait for the time of point k, by sleep and then by looks at the clock, which starts at point 0."""
-        clock, doing = time.perf_counter, self._doing
+        clock, doing = self.clock, self._doing
         now = clock()
         if k == 0:
             self.begin = now
@@ -57,7 +61,7 @@ class Pacer:
         elif now < due:
             call, doing[0] = doing[0], WAITING
             while (rest := due - now - SPIN) > 0.0:
-                time.sleep(min(rest, NAP))
+                self._sleep(min(rest, NAP))
                 if rest > NAP and self._progress is not None:
                     self._progress(k)
                 now = clock()
@@ -99,11 +103,14 @@ class Pacer:
         overruns, count = record["overruns"], record["overruns"].get("beyond_step")
         if not count:
             return ()
-        return (
-            f"{count} of {record['points']} communication points came more than a step behind the pace {self.pace:g}, "
-            f"at worst {1e3 * overruns['worst']:.3g} ms at t = {overruns['at']:.6g} s, and the last "
-            f"{1e3 * record['behind_at_end']:.3g} ms",
-        )
+        worst = f"at worst {1e3 * overruns['worst']:.3g} ms at t = {overruns['at']:.6g} s"
+        points = f"{count} of {record['points']} communication points came more than a step"
+        if (end := record["behind_at_end"]) > self.length:
+            return (
+                f"the pace {self.pace:g} is not kept: {points} late, {worst}, and the last {1e3 * end:.3g} ms; the run "
+                "went on as fast as it could",
+            )
+        return (f"{points} behind the pace {self.pace:g}, {worst}; the run caught up",)
 
 
 def _rounded(value: Any) -> float:

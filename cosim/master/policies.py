@@ -23,33 +23,37 @@ p is one more than the degree of the inputs' courses; s and P are the largest ma
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, wait
 from functools import cache, partial
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from cosim.blocks.fmu import FmuBlock
+from cosim.blocks.stepping import NotCompiled, cores
 from cosim.core.arrays import Array
 from cosim.core.errors import CosimError, SimulationError
 from cosim.isolation.rows import GET
+from cosim.master.c_loop import CompiledSteps
 from cosim.master.checkpoint import NOT_RESTORED
+from cosim.master.copying import Copies
 from cosim.master.extrapolation import Polynomial
 from cosim.master.initialization import is_settled
 from cosim.system.control import Control
+from cosim.system.schedule import Stage
 
 if TYPE_CHECKING:
     from cosim.master.master import Master
 
 SAFETY, PROPORTIONAL, INTEGRAL = 0.9, 0.4, 0.7  # factor of a step; exponents times q of the last and the present error
 SMALLEST, LARGEST = 0.2, 4.0  # change of a step
-
-
+MUCH, MOST_NAMED = 0.01, 3  # allowed error of a step as a share of a signal that is named; number of names
+TIMED, SLOW = 4, 50e-6  # first steps that are timed; shortest step [s] that is worth a thread, as in stepping.c
 LEAST_ERROR = 1e-4  # smallest error that enters the controller
 ROUNDING = 1e-9  # relative
 Judged = tuple[float, str]  # error of a step relative to the tolerance, and the signal that has it
-Copies = Callable[[int], None]  # makes the copies of a communication point
 
 
 class Active(NamedTuple):
@@ -74,27 +78,56 @@ Round = tuple[Active, ...]  # the last one makes no step: its copies are those a
 
 
 class Together:
-    """Steps of components that need no output of each other, made at the same time.
+    """Steps of components that need no output of each other, made at the same time if at least two are slow.
+
+    The first steps follow each other, to measure them.
 
     Args:
-        in_threads: Whether each step may be made in a thread, because its component has a process of its own.
+        in_threads: Whether each step may be made in a thread.
     """
 
     def __init__(self, actives: Sequence[Active], in_threads: Sequence[bool]) -> None:
-        self._actives, self._pool = actives, ThreadPoolExecutor(len(actives))
-        self._in_threads = [k for k, each in enumerate(in_threads) if each][1:]  # the caller's thread makes the others
+        self._actives, self._timed, self._pool = actives, 0, ThreadPoolExecutor(min(cores(), len(actives)))
+        self._least = [math.inf if each else 0.0 for each in in_threads]  # time [s] of the fastest of the first steps
+        self._others: list[int] = []  # steps that are not made by the caller's thread
+
+    def active(self) -> Active:
+        """Return the steps as a single one, with the copies around all of them."""
+        copies, lates = [a.copy for a in self._actives], [a.late for a in self._actives if a.late is not None]
+
+        def copy(k: int) -> None:
+            for each in copies:
+                each(k)
+
+        def late(k: int) -> None:
+            for each in lates:
+                each(k)
+
+        return Active(copy, self, late=late if lates else None)
 
     def __call__(self, t: float, h: float) -> None:
         """Step all components by h [s]; raise the error of the first one that fails."""
-        tasks = {k: self._pool.submit(self._actives[k].step, t, self._actives[k].length or h) for k in self._in_threads}
+        if self._timed < TIMED:
+            for k, active in enumerate(self._actives):
+                begin = time.perf_counter()
+                active.step(t, active.length or h)
+                self._least[k] = min(self._least[k], time.perf_counter() - begin)
+            self._timed += 1
+            if self._timed == TIMED:
+                self._others = [k for k, least in enumerate(self._least) if least >= SLOW][1:]
+            return
+        others = self._others
+        tasks = [self._pool.submit(self._actives[k].step, t, self._actives[k].length or h) for k in others]
         failed: dict[int, BaseException | None] = {}
         try:
             for k, active in enumerate(self._actives):
-                if k not in tasks:
+                if k not in others:
                     active.step(t, active.length or h)
         except CosimError as error:
             failed[k] = error
-        failed |= {k: task.exception() for k, task in tasks.items()}  # once all have ended
+        finally:
+            wait(tasks)
+        failed |= {k: task.exception() for k, task in zip(others, tasks, strict=True)}
         for k in sorted(failed):
             if (first := failed[k]) is not None:
                 raise first
@@ -111,38 +144,11 @@ class Policy:
         reason: Why the steps are made in Python.
     """
 
-    master: Master
     reason = ""
-
-    @property
-    def loop(self) -> str:
-        """Return the kind of loop."""
-        return f"Python: {self.reason}"
 
     def advance_to(self, k: int) -> None:
         """Step the system from point k − 1 to point k."""
         raise NotImplementedError
-
-    def settle(self, k: int) -> None:
-        """Handle the events of point k."""
-
-    def make_all(self) -> None:
-        """Make all steps. The calls here and in `Master.advance` determine the run time."""
-        master, advance_to, settle = self.master, self.advance_to, self.settle
-        values, table, row_count, asked = master.values, master.table, master.row_count, master.asked
-        call_point = master.next_call(master.done)
-        for k in range(master.done, master.steps + 1):
-            advance_to(k)
-            if k == call_point:
-                master.change(k)
-            settle(k)
-            if k == call_point:
-                master.tell(k)
-                call_point = master.next_call(k + 1)
-            table[k] = values
-            row_count[0] = k + 1
-            if asked[0]:
-                master.keeper.look(master, k)
 
     def finish(self) -> None:
         """Note what is worth a warning, after the last step."""
@@ -152,7 +158,7 @@ class EqualSteps(Policy):
     """Equal communication steps."""
 
     def __init__(self, master: Master, reason: str) -> None:
-        self.master, self.reason, stages = master, reason, master.system.stages
+        self.reason, stages = reason, master.system.stages
         self._period = math.lcm(*(stage.every for stage in stages), 1)
         self._round = cache(partial(master.round, stages))
         self._advance, self._begin, self._h = master.advance, master.system.start, master.h
@@ -191,39 +197,13 @@ class SavedPoint:
         self.restore_signals()
 
 
-class HalvedSteps(Policy):
-    """Equal steps, each made once whole and once in halves, to estimate the coupling error.
-
-        e_k = |y(t_k; h) − y(t_k; h/2, h/2)|, both from the state at t_k−1
-
-    Rows hold the differences, zero in the first row. The run goes on from the whole steps.
-    """
-
-    reason = "steps are halved"
-
-    def __init__(self, master: Master) -> None:
-        self.master, actives = master, master.round(master.system.stages, 1, nominal=False)
-        self._advance = partial(master.advance, actives)
-        self._fmus = [c for c in master.components if isinstance(c, FmuBlock)]
-        self._whole: SavedPoint | None = None
-        master.table[0] = 0.0
-
-    def advance_to(self, k: int) -> None:
-        """Step once whole and once in halves."""
-        master = self.master
-        if self._whole is not None:
-            self._whole.restore_signals()
-        t, end = (master.system.start + j * master.h for j in (k - 1, k))
-        before, middle = SavedPoint(master, self._fmus), 0.5 * (t + end)
-        self._advance(k, t, end)
-        values, self._whole = master.values.copy(), SavedPoint(master, self._fmus)
-        before.restore()
-        before.check_outputs(t)
-        for since, until in ((t, middle), (middle, end)):
-            self._advance(k, since, until)
-        differences = np.abs(values - master.values)
-        self._whole.restore()
-        master.values[:] = differences
+def advance_of(master: Master, stages: Sequence[Stage]) -> Callable[[int, float, float], None]:
+    """Return a function of point, start and end [s] of a step of any length, in C if possible."""
+    try:
+        return CompiledSteps(master, stages).advance
+    except NotCompiled:
+        actives = master.round(stages, 1, nominal=False)
+        return partial(master.advance, actives)
 
 
 class ControlledSteps(Policy):
@@ -233,33 +213,34 @@ class ControlledSteps(Policy):
         sizes: Lengths of accepted steps [s].
         made: Number of communication points, with those of rejected and comparing steps.
         worst: Largest error of an accepted step.
-        failed: Time, error and signal of accepted steps with an error above the tolerance, and whether they could not
-            be shorter.
+        failed: Time, error and signal of accepted steps with an error above the tolerance; `missed` has those of them
+            that could not be shorter.
     """
 
     reason = "steps are controlled"
 
     def __init__(self, master: Master, control: Control) -> None:
         self.master, self.control, system = master, control, master.system
-        stages = [stage for stage in system.stages if stage.name not in control.at_rows]
-        self._at_rows = [stage for stage in system.stages if stage.name in control.at_rows]
-        self._names = [stage.name for stage in stages]
-        self._advance = partial(master.advance, master.round(stages, 1, nominal=False))
+        stages = [stage for stage in system.stages if stage.component.name not in control.at_rows]
+        self._at_rows = [stage for stage in system.stages if stage.component.name in control.at_rows]
+        self._names = [stage.component.name for stage in stages]
+        self._advance = advance_of(master, stages)
         self.fmus = [s.component for s in stages if isinstance(s.component, FmuBlock)]
-        held = (t for t in system.held if t.receiver in self._names)
+        held = (t for t in system.held if t.name.partition(".")[0] in self._names)
         received = {t.target: t.source for t in held if not any(t.beside)}
         self.received, self.sources = {target: k for k, target in enumerate(received)}, list(received.values())
         self.signals, self.outputs = master.values, [*control.outputs]
         self.past = Polynomial(system.courses[0])
         self.scale, self.power = np.array(control.nominal), [b.nominal for b in control.bonds]
-
+        self.largest = np.zeros(len(control.nominal))  # magnitude of each judged signal
         self.p = 1 + min(system.courses)
         self.q = self.p + (control.estimator == "halving" and not control.is_per_second)
         self.wish = control.longest if control.rolls_back else control.shortest
         self.before, self._is_checked = 1.0, False
         self.sizes: list[float] = []
         self.made, self.rejected, self.worst = 0, 0, 0.0
-        self.failed: list[tuple[float, float, str, bool]] = []
+        self.failed: list[tuple[float, float, str]] = []
+        self.missed: list[tuple[float, float, str]] = []
 
     def advance_to(self, k: int) -> None:
         """Make the steps between two rows, then those of components that step only at rows."""
@@ -275,8 +256,7 @@ class ControlledSteps(Policy):
                 if math.isnan(error):  # taken back
                     continue
             else:
-                self._advance(k, t, until)
-                self.made += 1
+                self._step(k, t, until)
                 error, name = self._judge_inputs(until)
             self._accept(t, until - t, error, name, final=is_shortest)
             t = until
@@ -285,41 +265,62 @@ class ControlledSteps(Policy):
             master.advance(at_row, k, begin, end)
 
     def finish(self) -> None:
-        """Record the steps; note errors above the tolerance, and what the estimator does not judge."""
+        """Note steps above the tolerance, signals far below their nominal value, and an estimator without signals."""
         notes, control, tolerance = self.master.notes, self.control, self.control.tolerance
-        sizes, missed = np.array(self.sizes or [math.nan]), [step for step in self.failed if step[-1]]
-        largest = max((step[1:3] for step in missed), default=None)
-        self.master.details["steps"] = {
-            "estimator": control.estimator,
-            "tolerance": tolerance,
-            "per": "second" if control.is_per_second else "step",
-            "order": self.p,
-            "accepted": len(self.sizes),
-            "rejected": self.rejected,
-            "communication_points": self.made,
-            "above_tolerance": len(self.failed),
-            "missed": largest and {"steps": len(missed), "error": largest[0] * tolerance, "signal": largest[1]},
-            "largest_error": self.worst * tolerance,
-            "is_met": not self.failed,
-            "sizes": {f"{share:g} %": float(np.percentile(sizes, share)) for share in (0, 10, 50, 90, 100)},
-        }
-        if steps := missed or self.failed:
-            t, error, signal, _ = steps[0]
-            why, cure = f"; estimator: {control.estimator} does not repeat steps", f"max below {control.longest:g} s"
-            if missed:
-                why, cure = f" although min allows no shorter ones, {control.shortest:g} s", "shorter min"
-            notes.append(
-                f"the error of {len(steps)} steps is above the tolerance {tolerance:g}{why}: first at t = {t:.6g} s, "
-                f"{error * tolerance:.2g} of {signal}; the largest is {self.worst * tolerance:.2g}. Give a {cure} or a "
-                "larger tolerance"
+        if steps := self.missed or self.failed:
+            t, error, signal = steps[0]
+            errors = (
+                f"first at t = {t:.6g} s, {error * tolerance:.2g} of {signal}; the largest is "
+                f"{self.worst * tolerance:.2g}"
             )
-
+            if self.missed:
+                notes.append(
+                    f"the error of {len(steps)} steps is above the tolerance {tolerance:g} although min allows no "
+                    f"shorter ones, {control.shortest:g} s: {errors}. Give a shorter min or a larger tolerance"
+                )
+            else:
+                notes.append(
+                    f"the error of {len(steps)} steps turned out above the tolerance {tolerance:g}; estimator: "
+                    f"{control.estimator} does not repeat steps: {errors}. Give a max below {control.longest:g} s or a "
+                    "larger tolerance"
+                )
+        allowed = tolerance * np.array(control.nominal)
+        if (small := np.flatnonzero((self.largest > 0.0) & (allowed > MUCH * self.largest))).size:
+            names = ", ".join(self.master.system.columns[k] for k in small[:MOST_NAMED])
+            notes.append(
+                f"{small.size} signals stay so far below their nominal value, 1 if the FMU states none, that a step "
+                f"within the tolerance {tolerance:g} may err by up to "
+                f"{np.max(allowed[small] / self.largest[small]):.2g} times the signal: {names}. State their nominal "
+                "values in the FMUs, or give a smaller tolerance"
+            )
         if control.estimator == "residual" and not self.sources:
             notes.append(
                 "no input is extrapolated, so that estimator: residual judges nothing and steps grow to "
                 f"{control.longest:g} s whatever their error; give one step: of that length, or FMUs that save and "
                 "restore their state (estimator: halving)"
             )
+
+    def record(self) -> dict[str, Any]:
+        """Return the entry of the manifest."""
+        sizes, tolerance = np.array(self.sizes or [math.nan]), self.control.tolerance
+        missed = None
+        if self.missed:
+            error, name = max(step[1:] for step in self.missed)
+            missed = {"steps": len(self.missed), "error": error * tolerance, "signal": name}
+        return {
+            "estimator": self.control.estimator,
+            "tolerance": tolerance,
+            "per": "second" if self.control.is_per_second else "step",
+            "order": self.p,
+            "accepted": len(self.sizes),
+            "rejected": self.rejected,
+            "communication_points": self.made,
+            "above_tolerance": len(self.failed),
+            "missed": missed,
+            "largest_error": self.worst * tolerance,
+            "is_met": not self.failed,
+            "sizes": {f"{share:g} %": float(np.percentile(sizes, share)) for share in (0, 10, 50, 90, 100)},
+        }
 
     def _next(self, t: float, end: float) -> tuple[float, bool]:
         """Return the end of the next step, and whether no shorter one is allowed."""
@@ -353,7 +354,9 @@ class ControlledSteps(Policy):
         self.sizes.append(h)
         self.worst = max(self.worst, error)
         if error > 1.0:
-            self.failed.append((t, error, name, final))
+            self.failed.append((t, error, name))
+            if final:
+                self.missed.append((t, error, name))
         error = max(error, LEAST_ERROR)
         factor = SAFETY * error ** (-INTEGRAL / self.q) * self.before ** (PROPORTIONAL / self.q)
         wish = h * min(max(factor, SMALLEST), LARGEST)
@@ -367,15 +370,14 @@ class ControlledSteps(Policy):
         """Step whole and by halves; return the error, NaN if the step is rejected."""
         before, middle, outputs = SavedPoint(self.master, self.fmus), 0.5 * (t + until), self.outputs
         start = self.signals[outputs]
-        self._advance(k, t, until)
+        self._step(k, t, until)
         whole = self.signals[outputs]
         before.restore(keep=True)
         if not self._is_checked and (whole != start).any():
             self._is_checked = True
             before.check_outputs(t)
         for since, to in ((t, middle), (middle, until)):
-            self._advance(k, since, to)
-        self.made += 3
+            self._step(k, since, to)
         error, name = self._judge(outputs, whole)
         error /= (2.0**self.p - 1.0) * (until - t if self.control.is_per_second else 1.0)
         if error <= 1.0 or final:
@@ -408,7 +410,13 @@ class ControlledSteps(Policy):
         if not len(places):
             return 0.0, ""
         values = self.signals[places]
-        self.scale[places] = np.maximum(self.scale[places], np.abs(values))
+        for sizes in (self.scale, self.largest):
+            sizes[places] = np.maximum(sizes[places], np.abs(values))
         errors = np.abs(values - others) / (self.control.tolerance * self.scale[places])
         worst = int(np.argmax(errors))
         return float(errors[worst]), self.master.system.columns[places[worst]]
+
+    def _step(self, k: int, t: float, until: float) -> None:
+        """Step all controlled components."""
+        self._advance(k, t, until)
+        self.made += 1

@@ -109,9 +109,10 @@ def simulate_in(
         counters = worker.progress
         counters.loop, counters.stop[0], counters.hold[0], counters.sent[0] = b"", 0, 0, 0
         control = Control(system, exchange, counters)
-        table = _begin_rows(stack, worker, folder, steps + 1, columns, kept)
+        table, rows = _begin_rows(stack, worker, folder, steps + 1, columns, kept)
+        units = {name: system.units.get(name, "") for name in system.columns}
         about = {
-            "units": {name: system.units.get(name, "") for name in system.columns},
+            "units": units,
             "display": {**system.display},
             "start": system.start,
             "step": h,
@@ -121,7 +122,7 @@ def simulate_in(
         stack.callback(followed.unlink, missing_ok=True)
         with suppress(OSError):  # without space the run is only not followed
             followed.write_text(json.dumps(about), encoding="utf-8")
-        mapped = np.memmap(table, np.float64, "r", shape=(steps + 1, columns)) if observers and columns else None
+        mapped = np.memmap(table, np.float64, "r", shape=(rows, columns)) if observers and columns else None
         feed = Feed(observers, system, steps, h, control, mapped)
 
         def give(done: int) -> None:
@@ -135,13 +136,14 @@ def simulate_in(
         calls = [fmi_calls(getattr(stage.component, "description", None)) for stage in system.stages]
         grace = 0.0 if keeping is None else SHORT_GRACE if kept.interval is None else GRACE
         watch = Watch(system.names, calls, at, limits, 8 * columns, progress=give, times=times, grace=grace)
+        settings: dict[str, Any] = {"interval": kept.interval, "given": given, "keeps": keeping is not None}
+        settings["channel"] = exchange if observers else None
         log: Sequence[str] = ()
         failure: SimulationError | None = None
         last, ended = None, dict[str, Any]()
         try:
-            channel = exchange if observers else None
-            job = partial(simulate_rows, channel=channel, interval=kept.interval, given=given, keeps=bool(keeping))
-            log, failure, last, ended = worker.call(job, system, steps, h, table, limits, watch=watch)
+            job = partial(simulate_rows, system, steps, h, table, rows, limits, **settings)
+            log, failure, last, ended = worker.call(job, watch=watch)
             hold_stops()  # The rows must be saved.
         except (SimulationError, KeyboardInterrupt, Terminated) as stop:
             failure = stop_error(stop, _time_of(system, h, counters.made[0]))
@@ -198,44 +200,50 @@ def _simulate_here(
     return SteppedRun(results, _log_lines(system), master.failure or feed.failure, control.changes)
 
 
-def _begin_rows(stack: ExitStack, worker: Worker, folder: Path | None, count: int, columns: int, kept: Keeping) -> Path:
+def _begin_rows(
+    stack: ExitStack, worker: Worker, folder: Path | None, count: int, columns: int, kept: Keeping
+) -> tuple[Path, int]:
     """Create the file of the rows of a run, in the folder of the checkpoints, or until the stack ends.
 
-    Without checkpoints the folder is beside the results, or elsewhere for lack of space.
+    Without checkpoints the folder is beside the results, or elsewhere for lack of space. If there is no space for all
+    rows, the file has fewer.
+
+    Returns:
+        The file and its number of rows.
 
     Raises:
         DiskFull: The rows do not fit.
     """
-    elsewhere = Path(tempfile.gettempdir())
-    for parent in (folder or elsewhere, elsewhere) if kept.folder is None else (kept.folder,):
-        if kept.folder is None:
-            temporary = scratch(PREFIX, parent)
-            stack.callback(temporary.remove)
-            worker.take_along(temporary.path)
-            parent = temporary.path
-        new = parent / f"{ROWS}.new"
-        try:
-            allocate(new, 8 * columns * count)
-            if kept.start is not None:
-                with new.open("r+b") as stream:
-                    stream.write(kept.start.values.tobytes())
-                write_durable(parent / BESIDE, b"".join(map(exact_line, kept.start.exact)))
-                if kept.start.state is not None:
-                    write_durable(parent / STATE, kept.start.state)
-        except OSError as error:
-            new.unlink(missing_ok=True)
-            if not is_full(error):
-                raise
-        else:
-            if kept.start is None:
-                (parent / STATE).unlink(missing_ok=True)
-                (parent / BESIDE).unlink(missing_ok=True)
-            return new.replace(parent / ROWS)
+    elsewhere, given = Path(tempfile.gettempdir()), 0 if kept.start is None else kept.start.count
+    rows = count
+    while rows >= max(given, 1):
+        for parent in (folder or elsewhere, elsewhere) if kept.folder is None else (kept.folder,):
+            if kept.folder is None:
+                temporary = scratch(PREFIX, parent)
+                stack.callback(temporary.remove)
+                worker.take_along(temporary.path)
+                parent = temporary.path
+            new = parent / f"{ROWS}.new"
+            try:
+                allocate(new, 8 * columns * rows)
+                if kept.start is not None:
+                    with new.open("r+b") as stream:
+                        stream.write(kept.start.values.tobytes())
+                    write_durable(parent / BESIDE, b"".join(map(exact_line, kept.start.exact)))
+                    if kept.start.state is not None:
+                        write_durable(parent / STATE, kept.start.state)
+            except OSError as error:
+                new.unlink(missing_ok=True)
+                if not is_full(error):
+                    raise
+            else:
+                if kept.start is None:
+                    (parent / STATE).unlink(missing_ok=True)
+                    (parent / BESIDE).unlink(missing_ok=True)
+                return new.replace(parent / ROWS), rows
+        rows //= 2
     raise DiskFull(
-        "the run",
-        0.0,
-        f"the disk is full: it has no room for the rows of the run, {8e-6 * columns * count:.3g} MB; give TMPDIR "
-        "another disk, or a longer step or rows",
+        "the run", 0.0, f"the disk is full: it has no room for the rows of the run, {8e-6 * columns * count:.3g} MB"
     )
 
 
@@ -244,6 +252,7 @@ def simulate_rows(
     steps: int,
     h: float,
     table: Path,
+    rows: int,
     limits: Limits,
     *,
     channel: Path | None,
@@ -255,6 +264,7 @@ def simulate_rows(
 
     Args:
         table: File of the rows; further files are beside it.
+        rows: Number of rows for which it has room.
         channel: Folder of the changes by observers, which may request an early end; None without observers.
         interval: As in `Keeping`.
         given: Number of rows of a stopped run that are in the files.
@@ -277,7 +287,7 @@ def simulate_rows(
         progress.loop = loop.encode()[:255]
 
     lock = lock_file(place / IN_USE, create=True) if interval is not None else None
-    mapped, beside = mapped_table(table, steps + 1, len(system.columns)), ExactFile(place / BESIDE)
+    mapped, beside = mapped_table(table, rows, len(system.columns)), ExactFile(place / BESIDE)
     keeper, start = None, None
     try:
         if keeps and given:
@@ -285,9 +295,10 @@ def simulate_rows(
             start = Continuation(mapped[:given].copy(), exact, state)
         if keeps:
             keeper = Keeper(place, progress.asked, progress.ending, interval, start)
-        rows = Rows(mapped, beside, progress.made, progress.doing, tell_loop, progress.asked, keeper, given)
+        shared = progress.made, progress.doing, tell_loop, progress.asked, keeper, given
         inbox = None if channel is None else Inbox(channel, progress)
-        master = Master(system, steps, h, None if channel is None else obey, rows, inbox=inbox)
+        rows_ = Rows(mapped, beside, *shared)
+        master = Master(system, steps, h, None if channel is None else obey, rows_, inbox=inbox)
         results = master.results()
     finally:
         beside.close()

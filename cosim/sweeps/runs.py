@@ -39,7 +39,7 @@ from cosim.system.system import build_system
 MODULES = ("cosim.sweeps.runs", "fmpy.fmi2", "fmpy.logging")
 CACHED_SYSTEMS = 16  # assembled systems cached per worker
 UNKEPT = 1  # runs of a system before its libraries are kept
-NO_MESSAGES: Mapping[str, Any] = {"first": (), "omitted": 0}
+NO_MESSAGES: Mapping[str, Any] = {"first": (), "last": (), "omitted": 0}
 
 
 @dataclass(frozen=True)

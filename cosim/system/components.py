@@ -5,7 +5,7 @@ from __future__ import annotations
 from contextlib import suppress
 
 from cosim.blocks.component import Component
-from cosim.blocks.fixes import Fixes, fix_outputs
+from cosim.blocks.fixes import COUNT, Fixes, fix_outputs
 from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.sources import playback, reference
 from cosim.core.errors import FmuError, InputError
@@ -71,9 +71,12 @@ def _fixes(building: Building, name: str, component: FixComponent) -> Fixes | No
     for signal, about in component.signals.items():
         noise = about.noise if scenario.noise else None
         signals[signal] = (about.unit, noise.variance, noise.bias) if noise else (about.unit, 0.0, 0.0)
-    collisions = signals.keys() & fix_outputs(signals)
+    collisions = [n for n in signals if n in fix_outputs(signals)]
     for signal in collisions:
-        message = f'"{signal}" is already the name of an output of this block; rename the signal'
+        other = (
+            "the output with the number of fixes" if signal == COUNT else "an output with the fixes of another signal"
+        )
+        message = f'"{signal}" is already the name of {other}; rename the signal'
         building.note(("components", name, "signals", signal), message)
     fastest = 1.0 / scenario.step
     if too_fast := component.rate > fastest * (1.0 + 1e-9):

@@ -97,7 +97,7 @@ def control_of(building: Building, transfers: Sequence[Transfer]) -> Control | N
         ends: list[tuple[int, int]] = []  # indices of output and input
         for side, output, other in (("effort", bond.effort, bond.flow), ("flow", bond.flow, bond.effort)):
             owner = other.partition(".")[0]
-            found = next((t for t in by_source.get(output, ()) if t.receiver == owner), None)
+            found = next((t for t in by_source.get(output, ()) if t.name.partition(".")[0] == owner), None)
             message = ""
             if output not in by_source:
                 message = f'no connected output "{output}"{did_you_mean(output, by_source)}'

@@ -9,7 +9,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from cosim.blocks.event_mode import PERIODIC, Clock, EventFmu, ScheduledFmu, read_clocks
+from cosim.blocks.event_mode import PERIODIC, EventFmu, ScheduledFmu, Timing, read_clocks
 from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.model_exchange import ModelExchange
 from cosim.blocks.sources import SourceBlock
@@ -49,11 +49,12 @@ def event_block(building: Building, name: str, component: FmuComponent, path: Pa
                 message = f"the clocks of {name} need event mode; remove event_mode: false"
             building.note(("components", name, "clocks"), message)
         return FmuBlock
-    inputs = {c.name: c for c in clocks.values() if c.causality == "input"}
+    timings = {}
     for clock_name, timing in component.clocks.items():
-        clock, full_name, message = inputs.get(clock_name), f"{name}.{clock_name}", ""
-        if clock is None:
-            message = f'{name} has no input clock "{clock_name}"{did_you_mean(clock_name, inputs)}'
+        clock, full_name = clocks.get(clock_name), f"{name}.{clock_name}"
+        if clock is None or clock.causality != "input":
+            hint = did_you_mean(clock_name, [c.name for c in clocks.values() if c.causality == "input"])
+            message = f'{name} has no input clock "{clock_name}"{hint}'
         elif full_name in scenario.targets:
             message = f"{full_name} has both times in the scenario and a connection; keep one"
         elif clock.kind == "constant" or (clock.kind != "triggered" and clock.interval is None):
@@ -66,8 +67,10 @@ def event_block(building: Building, name: str, component: FmuComponent, path: Pa
             message = f"{full_name} needs either interval: or at:"
         elif timing.at != sorted(set(timing.at)) or (timing.at and timing.at[0] < scenario.start_time):
             message = f"the times of {full_name} must increase and not precede the start of the run"
-        if message:
-            building.note(("components", name, "clocks", clock_name), message)
+        else:
+            timings[clock_name] = Timing(timing.interval, timing.shift, tuple(timing.at))
+            continue
+        building.note(("components", name, "clocks", clock_name), message)
     jumping = set()  # inputs with discontinuous sources
     for connection in scenario.connections:
         source, output, owner, variable = connection.ends
@@ -82,7 +85,7 @@ def event_block(building: Building, name: str, component: FmuComponent, path: Pa
             if any(v.variability not in (None, "continuous") or v.type not in REALS for v in ends):
                 jumping.add(variable)
     kind = ScheduledFmu if way == "scheduled-execution" else EventFmu
-    return partial(kind, timings=component.clocks, jumping=frozenset(jumping))
+    return partial(kind, timings=timings, jumping=frozenset(jumping))
 
 
 def default_block(path: Path, description: Any) -> type[FmuBlock]:
@@ -117,8 +120,14 @@ def takes_part_of_step(stage: Stage, loops: Sequence[Loop] = ()) -> bool:
     return isinstance(component, FmuBlock) and takes_any_step(component.description) and not sampled_by(component.path)
 
 
-def clock_interval(clock: Clock, target: str, value: Any) -> float:
-    """Return the interval [s] that an event sets for a clock; raise ValueError if unsuitable."""
+def clock_interval(block: FmuBlock | None, target: str, value: Any) -> Any:
+    """Return the interval [s] that an event sets for a clock; None if the target is not a clock.
+
+    Raise ValueError if unsuitable.
+    """
+    clock = block.clocks.get(target.partition(".")[2]) if isinstance(block, EventFmu) else None
+    if clock is None:
+        return None
     if clock.kind != "tunable" or clock.interval is None:
         reason = "is a clock with a fixed interval; only a tunable clock with intervalDecimal can be set"
         raise ValueError(f"{target} {reason}")
@@ -140,7 +149,7 @@ def check_events(building: Building, plan: Schedule, apart: Collection[str]) -> 
         return
     loops = {name: loop.name for loop in plan.loops for name in loop.members}
     for stage in plan.stages:
-        name, reason = stage.name, ""
+        name, reason = stage.component.name, ""
         if name in loops:
             reason = f"is part of the algebraic loop {loops[name]}"
         elif not takes_part_of_step(stage):
@@ -165,9 +174,8 @@ def changes_of(building: Building) -> Events:
     """
     scenario, blocks = building.scenario, building.blocks
     changes: dict[int, dict[str, dict[str, Any]]] = {}
-    targets = Targets({name: block.description for name, block in blocks.items()}, scenario.targets)
-    fmus = [block for block in blocks.values() if isinstance(block, EventFmu)]
-    clocks = {f"{fmu.name}.{clock}": declared for fmu in fmus for clock, declared in fmu.clocks.items()}
+    descriptions = {name: block.description for name, block in blocks.items()}
+    targets = Targets(descriptions, scenario.targets)
     values: dict[tuple[float, str], Any] = {}
     events = zip(building.file.places["events"], scenario.events, strict=True)
     for k, event in sorted(events, key=lambda placed: placed[1].at):
@@ -181,8 +189,8 @@ def changes_of(building: Building) -> Events:
             if name not in blocks and isinstance(scenario.components.get(name), FmuComponent):
                 continue  # The FMU is unusable, which is already a fault.
             try:
-                clock = clocks.get(target)
-                value = targets.value(target, written) if clock is None else clock_interval(clock, target, written)
+                value = clock_interval(blocks.get(name), target, written)
+                value = targets.value(target, written) if value is None else value
                 if (first := values.setdefault((event.at, target), value)) != value:
                     raise ValueError(f"two values at {event.at:g} s: {first!r} and {value!r}; keep one")
                 changes.setdefault(point, {}).setdefault(name, {})[variable] = value

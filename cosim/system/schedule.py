@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import combinations
 
 from cosim.blocks.component import Component, Signal
 from cosim.blocks.coupling import DEFAULT, WITHOUT_ORDER, AlgebraicLoop, Assumption, Edge, Plan, algorithms
@@ -37,11 +36,6 @@ class Stage:
     pulls: tuple[Transfer, ...] = ()
     every: int = 1
     late: tuple[Transfer, ...] = ()
-
-    @property
-    def name(self) -> str:
-        """Return the name of the component."""
-        return self.component.name
 
     @property
     def transfers(self) -> tuple[Transfer, ...]:
@@ -165,20 +159,28 @@ class _Graph:
             key: Setting of the scenario because of which they are not solved.
         """
         plan = DEFAULT.plan_with_loops(self.components, self.edges, None, undeclared=True)
-        for loop in (loop for loop in self.sort_transfers(plan)[-1] if loop.members not in solved):
+        for loop in self.sort_transfers(plan)[-1]:
+            if loop.members in solved:
+                continue
+            fmus = [c for c in map(self.components.get, loop.members) if isinstance(c, FmuBlock)]
+            names = [fmu.name for fmu in fmus if not (fmu.changes_by_events or fmu.rolls_back)]
             cure = f"to solve it, add loops: {{}} and remove {key}"
             if assumptions:
                 cure = "; ".join(assumptions)
             elif (fault := next((fault for _, fault in self.faults(loop)), None)) is not None:
                 cure = f"loops: {{}} without {key} is not possible: {fault}"
+            elif names:
+                cure += f" and {join_names(names)} cannot save a state but may have direct feedthrough"
             sentence = (
-                f"{loop.name} may be an algebraic loop. It is not solved because of {key}, so some inputs have the "
-                f"values of the previous step; {cure}"
+                f"{loop.name} may be an algebraic loop. It is not solved because of {key}, so some inputs have "
+                "the values "
+                f"of the previous step; {cure}"
             )
             if key == FEEDTHROUGH and not assumptions:
                 sentence = Note(
                     f"{loop.name} is not an algebraic loop at the start, as measured or declared by feedthrough: "
-                    f"[...]; if direct feedthrough occurs later, {cure}"
+                    "[...]; "
+                    f"if direct feedthrough occurs later, {cure}"
                 )
             yield replace(loop, left_open=sentence)
 
@@ -315,16 +317,20 @@ def batches(stages: Sequence[Stage]) -> Iterator[list[Stage]]:
     """
     batch: list[Stage] = []
     for stage in stages:
-        origins = {t.sender for t in stage.pulls}
-        of_process = [s.component for s in (*batch, stage) if isinstance(s.component, FmuBlock)]
-        fmus = [fmu for fmu in of_process if not fmu.is_apart]
-        alone = any(
-            f.instance.about.canBeInstantiatedOnlyOncePerProcess or f.instance.about.needsExecutionTool for f in fmus
-        )
-        shares = any(alone or may_share_data(a.path, b.path) for a, b in combinations(fmus, 2) if stage.component is b)
-        if shares or any(other.name in origins for other in batch):
+        origins = {t.origin.partition(".")[0] for t in stage.pulls}
+        if any(other.component.name in origins or _may_share_data(other, stage) for other in batch):
             yield batch
             batch = []
         batch.append(stage)
     if batch:
         yield batch
+
+
+def _may_share_data(*stages: Stage) -> bool:
+    """Return whether two FMUs of a process may have global data or a tool in common."""
+    one, other = (stage.component for stage in stages)
+    if not (isinstance(one, FmuBlock) and isinstance(other, FmuBlock)) or one.is_apart or other.is_apart:
+        return False
+    is_single = any(f.instance.about.canBeInstantiatedOnlyOncePerProcess for f in (one, other))
+    has_tool = any(f.instance.about.needsExecutionTool for f in (one, other))
+    return is_single or has_tool or may_share_data(one.path, other.path)

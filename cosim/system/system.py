@@ -12,6 +12,7 @@ from itertools import chain
 from pathlib import Path
 from typing import Any
 
+from cosim.blocks.component import Signal
 from cosim.blocks.coupling import sort_groups
 from cosim.blocks.event_mode import EventFmu
 from cosim.blocks.fixes import Fixes
@@ -32,7 +33,7 @@ from cosim.system.control import Control, control_of
 from cosim.system.events import Events, changes_of, check_events
 from cosim.system.recording import RecordedPart, recorded_part
 from cosim.system.schedule import Schedule, Stage, schedule
-from cosim.system.wiring import Building, RowLayout, Transfer, alias_transfers, connect, connection_warnings
+from cosim.system.wiring import Building, Transfer, alias_transfers, connect, connection_warnings
 
 ROUNDING = 1e-6  # tolerance of the step of sampled FMUs, as a fraction of a step
 MOST_RESULTS = 8e9  # size of results [bytes]
@@ -40,13 +41,13 @@ BYTES = 8  # size of a number [bytes]
 
 
 @dataclass(frozen=True)
-class System(Schedule, RowLayout):
+class System(Schedule):
     """A system ready for the master: its schedule and the layout of its rows.
 
     Attributes:
+        beside: Columns stored outside the row of doubles, for values without exact double.
         events: Communication point → component → values to set.
         apart: Names of components with their own process.
-        halved: True if rows contain differences due to halving each step, instead of signals.
         control: Control of the communication steps, None for equal steps.
         courses: Polynomial degrees of extrapolated and of interpolated inputs during a step.
         solving: Settings for algebraic loops, None for the default.
@@ -55,13 +56,16 @@ class System(Schedule, RowLayout):
         display: Unit → name of its display unit, factor and offset to its values.
     """
 
+    columns: tuple[str, ...] = ()
+    units: Mapping[str, str] = field(default_factory=dict)
     seed: int = 0
     start: float = 0.0
     warnings: tuple[str, ...] = ()
     fmus: Mapping[str, tuple[Path, Any]] = field(default_factory=dict)
+    beside: tuple[str, ...] = ()
+    signals: Mapping[str, Signal] = field(default_factory=dict)
     events: Events = field(default_factory=dict)
     apart: frozenset[str] = frozenset()
-    halved: bool = False
     control: Control | None = None
     courses: tuple[int, int] = (0, 0)
     solving: LoopSettings | None = None
@@ -72,7 +76,7 @@ class System(Schedule, RowLayout):
     @property
     def names(self) -> list[str]:
         """Return the names of the components in stepping order."""
-        return [stage.name for stage in self.stages]
+        return [stage.component.name for stage in self.stages]
 
     def is_real(self, transfer: Transfer) -> bool:
         """Return whether a transfer has values between any two others, unlike whole numbers and text."""
@@ -83,13 +87,13 @@ class System(Schedule, RowLayout):
         """Return component → the transfers to it at the end of a step."""
         by_name: dict[str, list[Transfer]] = {name: [] for name in self.names}
         for transfer in self.held:
-            by_name[transfer.receiver].append(transfer)
+            by_name[transfer.name.partition(".")[0]].append(transfer)
         return by_name
 
     def extrapolated(self, component: str) -> list[Transfer]:
         """Return the transfers to inputs of a component that are extrapolated during a step."""
         held = self.held_of[component] if self.courses[0] else ()
-        return [t for t in held if self.is_real(t) and t.sender not in self.known]
+        return [t for t in held if self.is_real(t) and t.origin.partition(".")[0] not in self.known]
 
     @cached_property
     def closing(self) -> tuple[Stage, ...]:
@@ -101,11 +105,11 @@ class System(Schedule, RowLayout):
         solved = {name for loop in self.loops for name in loop.members}
         stages, ends = dict[str, Stage](), list[tuple[str, str]]()
         for stage in self.stages:
-            name, component = stage.name, stage.component
+            name, component = stage.component.name, stage.component
             direct = [t for t in self.extrapolated(name) if component.depends_on(t.name.partition(".")[2]) is not False]
             if direct and name not in solved:
                 stages[name] = replace(stage, pulls=tuple(self.held_of[name]), late=())
-                ends += [(t.sender, name) for t in direct]
+                ends += [(t.origin.partition(".")[0], name) for t in direct]
         ordered = sort_groups([*stages], [end for end in ends if end[0] in stages]) if stages else []
         return tuple(stages[name] for group in ordered for name in group)
 
@@ -212,11 +216,14 @@ def build_system(file: ScenarioFile) -> System:
     scheduled = {**vars(plan), "held": (*plan.held, *of_aliases)}
     return System(
         **scheduled,
-        **vars(layout),
+        columns=layout.columns,
+        units=layout.units,
         seed=scenario.seed,
         start=scenario.start_time,
         warnings=warnings,
         fmus={name: (block.path, block.description) for name, block in blocks.items()},
+        beside=layout.beside,
+        signals=layout.signals,
         events=events,
         apart=scenario.isolated | separated,
         solving=scenario.loops,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from array import array
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cache, cached_property
 from itertools import islice
 from typing import Any
@@ -33,7 +33,6 @@ from cosim.scenario.scenario_file import Place, ScenarioFile
 
 Components = Mapping[str, Component]
 MOST_NAMED = 20  # signals shown in a message
-
 LONGEST = 2000  # of a message [characters]
 PASSING = {"freeze", "dropout", "delay"}  # faults that pass values of any type unchanged
 
@@ -50,11 +49,11 @@ class RowLayout:
         signals: Column → signal.
     """
 
-    columns: tuple[str, ...] = ()
-    units: Mapping[str, str] = field(default_factory=dict)
-    beside: tuple[str, ...] = ()
-    place: Mapping[str, tuple[bool, int]] = field(default_factory=dict)
-    signals: Mapping[str, Signal] = field(default_factory=dict)
+    columns: tuple[str, ...]
+    units: Mapping[str, str]
+    beside: tuple[str, ...]
+    place: Mapping[str, tuple[bool, int]]
+    signals: Mapping[str, Signal]
 
 
 class Building:
@@ -76,7 +75,8 @@ class Building:
 
     def note(self, where: Place, message: str, exit_code: int = 2) -> None:
         """Record a fault at a place of the scenario; raise InputError at the limit of faults."""
-        message = message if len(message) <= LONGEST else f"{message[: LONGEST - 1]}…"
+        if len(message) > LONGEST:
+            message = f"{message[: LONGEST - 1]}…"
         self.faults.append(self.file.fault(where, message, exit_code=exit_code))
         if len(self.faults) >= MOST_FAULTS:
             raise InputError([*self.faults, Fault(self.file.path, 0, 0, f"the first {MOST_FAULTS} faults are shown")])
@@ -134,16 +134,6 @@ class Transfer:
     of: str = ""
     sign: tuple[float, float] = (1.0, 0.0)
 
-    @property
-    def sender(self) -> str:
-        """Return the component of the source."""
-        return self.origin.partition(".")[0]
-
-    @property
-    def receiver(self) -> str:
-        """Return the component of the target."""
-        return self.name.partition(".")[0]
-
     def check_item(self, value: Any, t: float) -> None:
         """Raise SimulationError if a value is not an item of the target enumeration."""
         if self.items is not None and value not in self.items.values():
@@ -169,13 +159,21 @@ class Transfer:
         if self.sign != (1.0, 0.0):
             chain.append(LinkFunction(LinkKind.AFFINE, a=self.sign[0], b=self.sign[1]))
         if self.items is not None:
-
-            def check(k: int, value: Any) -> None:
-                if k:  # Values may be undefined until initialization ends.
-                    self.check_item(value, start + k * step)
-
-            chain.append(LinkFunction(LinkKind.ITEMS, values=array("d", self.items.values()), check=check))
+            chain.append(_Checked(self, start, step))
         return tuple(chain)
+
+
+class _Checked(LinkFunction):
+    """Check that a value is an item of the target enumeration."""
+
+    def __init__(self, transfer: Transfer, start: float, step: float) -> None:
+        super().__init__(LinkKind.ITEMS, values=array("d", (transfer.items or {}).values()))
+        self.transfer, self.start, self.step = transfer, start, step
+
+    def __call__(self, k: int, v: Any) -> Any:
+        if k:  # Values may be undefined until initialization ends.
+            self.transfer.check_item(v, self.start + k * self.step)
+        return v
 
 
 def through(chain: Sequence[LinkFunction]) -> Callable[[int, Any], Any]:
