@@ -144,6 +144,10 @@ class Loop(Stateful):
         self.command = self.law.command(self.estimate, now)
         return self.command
 
+    def outputs(self) -> list[float]:
+        """Return commands, estimate, its standard deviations, and further outputs of the law."""
+        return [*self.law.duties, *self.command, *self.estimate, *self.sigma, *self.law.outputs()]
+
     @property
     def estimate(self) -> list[float]:
         """Return x̂ = (x, ẋ, ψ, ψ̇, a)."""

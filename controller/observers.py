@@ -106,6 +106,10 @@ class Estimator(Stateful):
         """Return estimated standard deviations of x, ψ and y."""
         return tuple(math.sqrt(max(0.0, v)) for v in self.variances)
 
+    def outputs(self) -> list[float]:
+        """Return estimate, standard deviations and NIS."""
+        return [*self.estimate, *self.sigma, self.nis]
+
     def update(self, readings: Numbers, *model: Any) -> float:
         """Update the filter, and return the normalised squared innovation; `model` has filterpy's further arguments."""
         kf = self.filter
@@ -289,7 +293,7 @@ class ExtendedFilter(Estimator):
         fix: float = 0.0,
     ) -> None:
         self.settings, self.slopes, self.stepper = settings, Slopes(model, jacobians), Stepper(model)
-        self.outputs = [[q.name for q in model.outputs].index(name) for name in SENSED]
+        self.sensors = [[q.name for q in model.outputs].index(name) for name in SENSED]
         self.filter = kf = ExtendedKalmanFilter(SIZE, len(SENSED))
         kf.x, kf.P = np.array(model.start(start), dtype=float), np.zeros((SIZE, SIZE))
         self.noise = np.diag(variances_of(settings, "process", PLANT_STATES))
@@ -335,7 +339,7 @@ class ExtendedFilter(Estimator):
     def sensed(self, x: Matrix) -> Matrix:
         """Return (ψ, ψ̇, a_x)."""
         y = self.stepper.output(0.0, tuple(x.tolist()), self.command)
-        return np.array([y[k] for k in self.outputs])
+        return np.array([y[k] for k in self.sensors])
 
     @property
     def estimate(self) -> Floats:

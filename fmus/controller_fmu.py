@@ -151,10 +151,6 @@ class SampledSlave(Slave):
         """Process one sample."""
         raise NotImplementedError
 
-    def published(self) -> list[float]:
-        """Return the outputs."""
-        raise NotImplementedError
-
     def initialize(self, given: dict[str, Value]) -> None:
         """Start at `*_hat_start`, with the settings of the variables named as their fields."""
         names = {field.name for field in fields(self.settings)}
@@ -163,14 +159,14 @@ class SampledSlave(Slave):
         settings = kind(**{name: value for name, value in values if name in names})
         self.sample = settings.sample_time
         self.running = self.start(settings, [float(given.get(name, 0.0)) for name in START_NAMES], given)
-        self.set_outputs(self.published())
+        self.set_outputs(self.running.outputs())
 
     def advance(self, t: float, h: float) -> None:
         """Process one sample; raise ValueError if the step is not one sample."""
         if abs(h - self.sample) > 1e-6 * self.sample:
             raise ValueError(f"step of {h} s; the {self.who} is sampled at {self.sample} s (parameter sample_time)")
         self.process()
-        self.set_outputs(self.published())
+        self.set_outputs(self.running.outputs())
 
     def snapshot(self) -> Any:
         """Return estimate, covariance, last command and last fix."""
@@ -211,11 +207,6 @@ class HovercraftController(SampledSlave):
     def process(self) -> None:
         """Process one sample."""
         self.running.step(self.inputs[:3], *self.inputs[3:])
-
-    def published(self) -> list[float]:
-        """Return commands, estimate, its standard deviations, and further outputs of the law."""
-        loop = self.running
-        return [*loop.law.duties, *loop.command, *loop.estimate, *loop.sigma, *loop.law.outputs()]
 
     def terminate(self) -> None:
         """Log the control law's remarks on the run as a warning."""
@@ -335,10 +326,6 @@ class Estimator(SampledSlave):
         """Process one sample."""
         *both, x_meas, y_meas, fix = self.inputs
         self.running.step(both[:3], both[3:], fix, (x_meas, y_meas))
-
-    def published(self) -> list[float]:
-        """Return estimate, standard deviations and NIS."""
-        return [*self.running.estimate, *self.running.sigma, self.running.nis]
 
 
 class HovercraftFilter(Estimator):

@@ -34,13 +34,13 @@ RUN_PAGE = Page(
     subject="fmus.report.craft_page:subject",
 )
 IDENTIFY = Verb(
-    command="plant.identification.command:command",
+    command="fmus.commands:identify_command",
     function="plant.identification.workflow:identify",
     artefacts="plant.identification:ARTEFACTS",
     group="Craft example",
 )
 CONSISTENCY = Verb(
-    command="controller.consistency_verb:command",
+    command="fmus.commands:consistency_command",
     function="controller.consistency:consistency",
     artefacts="fmus.registered:ARTEFACTS",
     group="Craft example",

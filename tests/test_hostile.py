@@ -50,19 +50,6 @@ def directory_of(raw: bytes) -> tuple[int, int]:
     return offset, offset + size
 
 
-def many(path: Path) -> None:
-    """Files of 60 MB each, beyond the room together; the directory says so, and it is what is believed."""
-    archive(path, **{f"resources/{k}": bytes(1000) for k in range(20)})
-    raw = bytearray(path.read_bytes())
-    at, end = directory_of(raw)
-    while at < end:
-        lengths = struct.unpack_from("<HHH", raw, at + 28)
-        if raw[at + 46 :].startswith(b"resources"):
-            struct.pack_into("<I", raw, at + 24, 60_000_000)
-        at += 46 + sum(lengths)
-    path.write_bytes(raw)
-
-
 def sharing(path: Path) -> None:
     """Two files of 1 MB that are the same bytes of the archive."""
     archive(path, **{"resources/z": bytes(1_000_000)})
@@ -94,7 +81,6 @@ ENTITIES = DESCRIPTION.replace(
 ).replace('modelName="m"', 'modelName="&i;"')
 HOSTILE: dict[str, tuple[Callable[[Path], object], str]] = {
     "bomb": (lambda p: zeros(p, 1074), "1074 MB"),
-    "many": (many, "zip bomb"),
     "sharing": (sharing, "share bytes"),
     "link": (linked, "is a link"),
     "parent": (lambda p: archive(p, **{"resources/../../../evil": b""}), "outside its folder"),

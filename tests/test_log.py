@@ -135,35 +135,30 @@ def test_a_measurement_file_is_a_log_whose_channels_have_times_of_their_own(tmp_
 LAST = "0.04,6.4,6.4,0.2,0.1,0.1,0.0"
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "place"),
-    [
-        (PLAIN, "", ":1:1"),
-        ("tilt_left", "tilt_lef", ":1:5"),
-        (ROWS, "", ":2:1"),
-        ("psi_dot", "psi", ":1:7"),
-        ("psi_dot", "psi_dot [m]", ":1:7"),
-        ("0.04,", "0.02,", ":4:1"),
-        ("0.04,", ",", ":4:1"),
-        ("0.2,", "x,", ":4:4"),
-        ("0.2,", "inf,", ":4:4"),
-        ("0.2,", '"0,2",', ":4:4"),
-        (LAST, "0.04,6.4,6.4", ":4:1"),
-        (LAST, "0,04,6,4,6,4,0,2,0,1,0,1,0,0", ":4:1"),
-        (LAST, "0.04,6.4,6.4,0.1,0.1,1e300,0", ":4:6"),
-        ("0.04,", "1e300,", ":4:1"),
-        (",0.0\n", ",\n", ":1:7"),
-        (",", "  ", ":1:1"),
-    ],
+REPLACED = (
+    (PLAIN, "", ":1:1"),
+    ("tilt_left", "tilt_lef", ":1:5"),
+    (ROWS, "", ":2:1"),
+    ("psi_dot", "psi", ":1:7"),
+    ("psi_dot", "psi_dot [m]", ":1:7"),
+    ("0.04,", "0.02,", ":4:1"),
+    ("0.04,", ",", ":4:1"),
+    ("0.2,", "x,", ":4:4"),
+    ("0.2,", "inf,", ":4:4"),
+    ("0.2,", '"0,2",', ":4:4"),
+    (LAST, "0.04,6.4,6.4", ":4:1"),
+    (LAST, "0,04,6,4,6,4,0,2,0,1,0,1,0,0", ":4:1"),
+    (LAST, "0.04,6.4,6.4,0.1,0.1,1e300,0", ":4:6"),
+    ("0.04,", "1e300,", ":4:1"),
+    (",0.0\n", ",\n", ":1:7"),
+    (",", "  ", ":1:1"),
 )
-def test_a_fault_is_told_with_its_place(tmp_path: Path, old: str, new: str, place: str) -> None:
-    (fault,) = faults(tmp_path / "a.csv", PLAIN.replace(old, new))
-    assert fault.startswith(f"{place}: ")
 
 
 @pytest.mark.parametrize(
     ("text", "place"),
     [
+        *((PLAIN.replace(old, new), place) for old, new, place in REPLACED),
         ("\n\n" + PLAIN.replace("tilt_left", "tilt_lef"), ":3:5"),
         (PLAIN.replace("time", "tiem").replace("0.04,", "0.01,"), ":1:1"),
         (HEADER.replace("time", "x") + "\n0,1,6,0,0,0,0\n0,2,6,0,0,0,0\n0,3,6,0,0,0,0\n", ":1:1"),  # an input increases
@@ -174,7 +169,7 @@ def test_a_fault_is_told_with_its_place(tmp_path: Path, old: str, new: str, plac
         (PLAIN.encode() + b"0.06,6,6,0,0,\xff,0\n", ":5:1"),
     ],
 )
-def test_a_fault_of_the_whole_file_is_told_with_its_place(tmp_path: Path, text: str | bytes, place: str) -> None:
+def test_a_fault_is_told_with_its_place(tmp_path: Path, text: str | bytes, place: str) -> None:
     (fault,) = faults(tmp_path / "a.csv", text)
     assert fault.startswith(f"{place}: ")
 

@@ -31,6 +31,7 @@ from cosim.system.events import default_block
 from cosim.system.system import System, build_system
 
 STOP, STEPS = 1.0, 500  # defaults if the FMUs declare none: duration [s], number of steps
+SPELLING = str.maketrans({"ä": "ae", "ö": "oe", "ü": "ue", "ß": "ss"})
 LONGEST = 24  # characters of a component's name, which precedes every signal
 MOST_STEPS = 20_000  # maximum number of steps of a first run, so that it is short
 SLACK = 1e-9  # relative tolerance for a whole number of steps
@@ -87,8 +88,7 @@ def component_name(stem: str, model: str = "") -> str:
 
 def _identifier(text: str) -> str:
     """Return a text as an identifier of ASCII letters, digits and underscores; ä becomes ae."""
-    spelled = text.translate(str.maketrans({"ä": "ae", "ö": "oe", "ü": "ue", "ß": "ss"}))
-    ascii_ = unicodedata.normalize("NFKD", spelled).encode("ascii", "ignore").decode()
+    ascii_ = unicodedata.normalize("NFKD", text.translate(SPELLING)).encode("ascii", "ignore").decode()
     return re.sub(r"[\W_]+", "_", ascii_).strip("_")
 
 

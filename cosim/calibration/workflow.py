@@ -134,8 +134,8 @@ def fit(
             estimate.run(given.parameters, screening=not request.vary, profiled=request.profile)
             stage = "the proof"
             progress("replaying with the values before and after the fit", 0.0)
-            parts = [prove(given.parameters, estimate, opened, sealed=False)]
-            parts += [prove(given.parameters, estimate, closed, sealed=True)] if closed else []
+            sets = [(opened, False), (closed, True)]
+            parts = [prove(given.parameters, estimate, of, sealed=sealed) for of, sealed in sets if of]
         except OutOfTime:
             reached = f"the limit of {most.total:g} s (limits: total) is reached"
             stop = TimedOut("the fit", 0.0, f"{reached}; the best values so far are written, without final check")

@@ -31,7 +31,7 @@ from cosim.core.text import MISSING, counted, join_names, showing
 from cosim.files.files import FilePath, check_writable, write_json, write_text
 from cosim.files.folders import new_run, remove_earlier, replay_record
 from cosim.files.results import Results, is_rounded, rows_in
-from cosim.files.run_entries import Selected, select_groups
+from cosim.files.run_entries import select_groups
 from cosim.files.run_inputs import PARAMETER, DifferingInput, differing_inputs, labels_of
 from cosim.fmi.description import read_description
 from cosim.scenario.scenario_file import sha256
@@ -365,13 +365,6 @@ def _sources(sides: Sequence[Any], baseline: Any, results: Path | None) -> tuple
         InputError: There are fewer than two runs, or the baseline is not exactly one run.
     """
 
-    def read(selected: Selected) -> RecordedRun:
-        """Return a recorded run; raise InputError if it was removed or replaced since it was listed."""
-        run = read_ran(selected.path)
-        if selected.entry is not None:
-            selected.entry.check_current()
-        return run
-
     def runs_of(sides: Sequence[Any]) -> list[RunSource]:
         groups = iter(select_groups([str(side) for side in sides if not isinstance(side, Signals)], results))
         found = []
@@ -383,7 +376,7 @@ def _sources(sides: Sequence[Any], baseline: Any, results: Path | None) -> tuple
                 continue
             for s in next(groups):
                 if not s.by_pattern or rows_in(s.path) is not None:
-                    found.append(RunSource(s.short, s.path, partial(read, s), s.by_pattern, s.longer))
+                    found.append(RunSource(s.short, s.path, partial(read_ran, s.path), s.by_pattern, s.longer))
         return found
 
     sources, place = runs_of(sides), 0

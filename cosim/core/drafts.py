@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import errno
 import os
-import re
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)  # no space on the disk or in the quota, or the shell's file size limit
@@ -29,15 +28,3 @@ def draft_of(path: Path) -> Iterator[Path]:
         draft.replace(path)
     finally:
         draft.unlink(missing_ok=True)
-
-
-def remove_drafts(folder: Path, names: Sequence[str]) -> None:
-    """Remove drafts of the files `names` that were left by killed processes.
-
-    The caller must hold the folder's lock.
-    """
-    drafts = re.compile(rf"\.({'|'.join(map(re.escape, names))})\.\d+")
-    with suppress(OSError):
-        for path in folder.iterdir():
-            if drafts.fullmatch(path.name) and path.is_file():
-                path.unlink()

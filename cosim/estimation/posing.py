@@ -15,7 +15,7 @@ from cosim.estimation.data import count_unscored, data_of, first_measured, readi
 from cosim.estimation.fit import Fit, fit, initial_fit
 from cosim.estimation.kernel.kernel import CONSTANT, DEVIATION, DISTURBANCE, EARLIER, MEMORY, Begin, simulate_all
 from cosim.estimation.problem import WITHIN, Noise, Origin, Problem, Settings
-from cosim.estimation.subject.candidates import Free, own_parameters
+from cosim.estimation.subject.candidates import Free, own, spread_of_base, usual_size
 from cosim.estimation.subject.interface import Subject
 from cosim.logs.log import Log, slowness, surprise, white_noise
 
@@ -48,9 +48,15 @@ def build_problem(
     kernel = subject.kernel(measured, unnamed=unnamed, constant=settings.per_log)
     values = {**dict.fromkeys(kernel.layout.parameters, 0.0), **subject.values}
     values[MEMORY] = USUAL_MEMORY * max(slowness(log.step) for log in logs)
-    groups = [settings.groups[log.path] for log in logs] if settings.per_log else []
-    own = tuple(own_parameters(subject, settings.per_log, groups, values, settings.tolerance))
-    values |= {f.name: values[f.parameter] for f in own}
+    free = list[Free]()  # each parameter per log once per group of logs, with a prior around its value
+    for name in settings.per_log:
+        p, value = subject.declared[name], values[name]
+        share = settings.tolerance.get(name, p.tolerance)
+        sigma = usual_size(p) if share is None or p.neutral is not None else spread_of_base(p, value, share)
+        for group in dict.fromkeys(settings.groups[log.path] for log in logs):
+            size, prior = min(usual_size(p), sigma), (value, sigma)
+            free.append(Free(own(name, group), *p.bounds, size, prior, parameter=name, group=group))
+    values |= {f.name: values[f.parameter] for f in free}
     variances = {**subject.sensor_variance, **{n: s * s for n, s in noise.items()}}
     late, lagging = (
         {
@@ -62,7 +68,7 @@ def build_problem(
     )
     r, stated = np.array([variances.get(name, 1.0) for name in measured]), np.isin(measured, [*variances])
     adjusted = np.ones(len(measured), bool)
-    problem = Problem(kernel, [], r, values, settings, late, lagging, stated, adjusted, own=own)
+    problem = Problem(kernel, [], r, values, settings, late, lagging, stated, adjusted, own=tuple(free))
     return with_logs(subject, problem, logs)
 
 

@@ -52,7 +52,6 @@ class Artefact:
         keys: Alternative sets of keys that identify a YAML or JSON file.
         without: Keys absent from every file of this kind.
         endings: Endings of file names, e.g. ".csv".
-        text: Regular expression for the beginning of a text file.
         member: File in a ZIP archive.
         beside: (file name, name of another file that must be in the same folder).
         taken_as: Other kind as which files of this kind are also accepted.
@@ -73,7 +72,6 @@ class Artefact:
     keys: tuple[frozenset[str], ...] = ()
     without: frozenset[str] = frozenset()
     endings: tuple[str, ...] = ()
-    text: str = ""
     member: str = ""
     beside: tuple[str, str] | None = None
     taken_as: str = ""

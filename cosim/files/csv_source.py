@@ -22,7 +22,6 @@ from cosim.files.table import DECIMAL_COMMA, Column, Source, Table, number_of, s
 MOST_BYTES = 200_000_000  # size of a file [bytes]; files are read whole
 CHUNK = 1000  # rows written at a time
 PLAIN = 1e-4, 1e16  # `repr` writes numbers from the first to below the second without an exponent
-THOUSANDS = re.compile(r"(?<![\d.,])\d{1,3}(?:[.'’ ]\d{3})+,\d+|(?<![\d.,])\d{1,3}(?:,\d{3})+\.\d+")
 SEPARATORS = {";": "semicolons", "\t": "tabs", "|": "vertical bars", " ": "blanks"}
 
 
@@ -52,7 +51,8 @@ class Csv(Source):
         assumed: tuple[str, ...] = ()
         decimal = "."
         if mark != ",":
-            decimal = _decimal_mark(path, content, mark, line)
+            cells = re.split(f"[\n{re.escape(mark)}]", content.decode("utf-8-sig", errors="replace"))
+            decimal = "," if any(DECIMAL_COMMA.fullmatch(cell.strip()) for cell in cells) else "."
             commas = ", decimals have a comma" if decimal == "," else ""
             assumed = (f"cells are separated by {SEPARATORS[mark]}{commas}",)
         headings = [split_heading(cell, names) for cell in header]
@@ -84,19 +84,6 @@ class Csv(Source):
 CSV = Csv()
 
 
-def read_heading(path: Path, names: Container[str] = ()) -> tuple[list[tuple[str, str]], int]:
-    """Return names and units of the columns, and the number of lines down to the header.
-
-    Raises:
-        ValueError: The cells are not separated by commas, or there is no header.
-    """
-    with open_bytes(path) as stream:
-        header, line, mark = _header(stream)
-    if not header or mark != ",":
-        raise ValueError("the header is not CSV")
-    return [split_heading(cell, names) for cell in header], line
-
-
 def _header(stream: BinaryIO) -> tuple[list[str], int, str]:
     """Return the cells of the first line with text, its number, and the separator of the cells."""
     text = io.TextIOWrapper(stream, encoding="utf-8-sig", errors="replace", newline="")
@@ -115,17 +102,6 @@ def _header(stream: BinaryIO) -> tuple[list[str], int, str]:
     return header, line, ","
 
 
-def _decimal_mark(path: Path, content: bytes, mark: str, header: int) -> str:
-    """Return the decimal mark of the numbers below the header; raise InputError for a separator of thousands."""
-    body = content.decode("utf-8-sig", errors="replace").split("\n", header)[-1]
-    if (found := THOUSANDS.search(body)) is not None:
-        line = header + 1 + body[: found.start()].count("\n")
-        message = f"{found[0].strip()} has a separator of thousands; write numbers without one"
-        raise InputError([Fault(path, line, 1, message)])
-    cells = re.split(f"[\n{re.escape(mark)}]", body)
-    return "," if any(DECIMAL_COMMA.fullmatch(cell.strip()) for cell in cells) else "."
-
-
 # -- all cells at once ----------------------------------------------------------------------------
 
 
@@ -133,8 +109,7 @@ def _numbers(
     content: bytes, header: int, headings: Sequence[tuple[str, str]], mark: str, decimal: str
 ) -> list[Column] | None:
     """Return numeric columns below the header line; None if the file must be read row by row."""
-    body = content.split(b"\n", header)[header:]
-    body = body[0] if body else b""
+    body = b"".join(content.split(b"\n", header)[header:])
     if not body.strip() or b'"' in body or body.count(b"\r") != body.count(b"\r\n"):
         return None
     from pyarrow import ArrowInvalid, BufferReader

@@ -83,22 +83,6 @@ def write_json(path: Path, content: Any, *, indent: int = 2, allow_nan: bool = T
     write_text(path, json.dumps(content, indent=indent, ensure_ascii=False, allow_nan=allow_nan) + "\n")
 
 
-def check_text(names: Iterable[str]) -> None:
-    """Raise InputError for names that are not valid text, as from a machine with another encoding."""
-    faults = []
-    for name in names:
-        try:
-            name.encode()
-        except UnicodeEncodeError:
-            try:
-                os.fsencode(name).decode()
-                message = "cannot be read in the locale of this shell; set PYTHONUTF8=1, or LC_ALL=C.UTF-8"
-            except UnicodeDecodeError:
-                message = "is not UTF-8 text; give the file or folder another name"
-            faults.append(Fault(Path(name), 0, 0, message))
-    refuse(faults)
-
-
 @contextmanager
 def delay_stops() -> Iterator[None]:
     """Delay stop signals to the end of the block."""

@@ -217,7 +217,7 @@ def warnings_on(folder: Path) -> tuple[str, ...]:
 
 def other_version(file: Path, record: Mapping[str, Any]) -> tuple[str, ...]:
     """Return a warning or note about a record written by another version."""
-    schema, by = record.get("schema_version", SCHEMA_VERSION), record.get("cosim_version", "")
+    schema, by = record.get("schema_version", SCHEMA_VERSION), str(record.get("cosim_version", ""))
     if schema != SCHEMA_VERSION:
         known = f"this version reads {SCHEMA_VERSION} and ignores new or changed keys"
         return (f"{file} has the schema version {schema}, written by cosim {by or '?'}; {known}",)

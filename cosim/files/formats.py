@@ -65,7 +65,9 @@ class Parquet(Source):
             raise InputError.at(path, f"is an incomplete or invalid Parquet file: {reason}; write it again") from None
         found: list[Column] = []
         for k in _order(content.schema):
-            name, unit = heading_of(content.schema.field(k), names)
+            field = content.schema.field(k)
+            unit = (field.metadata or {}).get(UNIT)  # without it, the name may be `name [unit]`
+            name, unit = split_heading(field.name, names) if unit is None else (field.name, unit.decode())
             found.append(_column(name, unit, content.column(k), is_text=name in text))
         if found and UNNAMED.fullmatch(found[0].name):  # Whole numbers may be row numbers.
             is_whole = found[0].numeric and np.asarray(found[0].values).dtype.kind == "i"
@@ -102,12 +104,6 @@ class Parquet(Source):
 PARQUET = Parquet()
 
 
-def heading_of(field: Any, names: Container[str] = ()) -> tuple[str, str]:
-    """Return name and unit of a field; without a unit in the metadata, the name may be `name [unit]`."""
-    unit = (field.metadata or {}).get(UNIT)
-    return split_heading(field.name, names) if unit is None else (field.name, unit.decode())
-
-
 def _order(schema: Any) -> list[int]:
     """Return the indices of the columns, with the time first.
 
@@ -128,26 +124,25 @@ def _order(schema: Any) -> list[int]:
 
 def _column(name: str, unit: str, column: Any, *, is_text: bool) -> Column:
     import pyarrow as pa
-    from pyarrow import types
 
-    if types.is_dictionary(column.type):
+    if pa.types.is_dictionary(column.type):
         column = column.cast(column.type.value_type)
-    kind = column.type
-    is_whole = types.is_boolean(kind) or types.is_integer(kind)
-    if types.is_string(kind) or types.is_large_string(kind) or (is_text and is_whole):
+    kind = str(column.type)
+    is_whole = re.fullmatch(r"bool|u?int\d+", kind) is not None
+    if kind in {"string", "large_string"} or (is_text and is_whole):
         values = ["" if value is None else str(value) for value in column.to_pylist()]
         return Column(name, unit, values, is_text=not is_whole)
-    if types.is_binary(kind) or types.is_large_binary(kind) or types.is_fixed_size_binary(kind):
+    if re.match("(large_|fixed_size_)?binary", kind):
         return Column(name, unit, [(value or b"").hex() for value in column.to_pylist()], is_text=True)
-    if types.is_timestamp(kind):
-        column = column.cast(pa.timestamp("us", kind.tz), safe=False)
+    if kind.startswith("timestamp"):
+        column = column.cast(pa.timestamp("us", column.type.tz), safe=False)
         return Column(name, unit, ["" if value is None else value.isoformat() for value in column.to_pylist()])
     if is_whole and not column.null_count:
         return Column(name, unit, plain_numbers(column.to_numpy()))
-    if not (is_whole or types.is_floating(kind) or types.is_null(kind)):
-        return Column(name, unit, fault=f"has the type {str(kind)[:60]}; write one number per cell, times in seconds")
-    values = column.cast("float64", safe=False).to_numpy()  # with NaN for missing ones
-    return Column(name, unit, np.asarray(values, dtype=np.float64))
+    if not is_whole and kind not in {"double", "float", "halffloat", "null"}:
+        return Column(name, unit, fault=f"has the type {kind[:60]}; write one number per cell, times in seconds")
+    numbers = column.cast("float64", safe=False).to_numpy()  # with NaN for missing ones
+    return Column(name, unit, np.asarray(numbers, dtype=np.float64))
 
 
 MAT_MAGIC = b"MATLAB 5.0 MAT-file"

@@ -34,10 +34,8 @@ def kind_by_form(path: Path) -> str | None:
             members = archive.namelist()
 
     for a in artefacts():
-        begins = a.text and ending not in WRITTEN and re.match(a.text, text.lstrip())
-        if begins or (a.member and a.member in members):
+        if a.member in members:
             return a.kind
-    for a in artefacts():
         name, other = a.beside or ("", "")  # For rows in formats other than CSV, only the suffix differs.
         is_rows = name.endswith(".csv") and path.stem == Path(name).stem and path.suffix in suffixes()
         if a.beside and (path.name == name or is_rows) and (path.parent / other).is_file():

@@ -57,7 +57,6 @@ class Entry:
         time: Time of writing [s] since 1970.
         outcome: Result of criteria, verdict or status; `unfinished`, `running`, `interrupted`, `damaged record`, `rows
             without a record`, `rows are gone`, or "".
-        record: File that describes the results; its modification time is `time`.
         changes: Input → value, for inputs that differ from the previous run of the same name; None for a removed input.
         version: Version of cosim, or of the schema, that wrote the record, if it differs from the current one; else "".
         warnings: Values of wrong types in the record.
@@ -73,7 +72,6 @@ class Entry:
     verb: str
     time: float
     outcome: str
-    record: Path
     changes: Mapping[str, Any]
     version: str = ""
     warnings: tuple[str, ...] = ()
@@ -99,14 +97,6 @@ class Entry:
     def met(self) -> bool | None:
         """Return True if all criteria were met; None without criteria."""
         return all(bool(c["met"]) for c in self.criteria) if self.criteria else None
-
-    def check_current(self) -> None:
-        """Raise InputError if the results were removed or replaced since they were listed."""
-        with suppress(OSError):
-            if self.record.stat().st_mtime == self.time:
-                return
-        reason = f"run {self.number} was removed or replaced after it was listed; repeat the command"
-        raise InputError.at(self.folder, reason)
 
     @property
     def label(self) -> str:
@@ -223,7 +213,6 @@ def _recorded(place: Path, name: Path, items: Mapping[str, os.DirEntry[str]]) ->
         verb=content.get(COMMAND, artefact.verb if artefact else "").removeprefix("cosim "),
         time=record.stat().st_mtime,
         outcome=outcome,
-        record=record,
         changes={},
         version=version if schema == SCHEMA_VERSION else f"{by or '?'} (schema {schema})",
         warnings=warnings,

@@ -96,6 +96,8 @@ MOST_FAULTS = 200  # reported faults per file
 LONGEST = 80  # shown characters of a name or value
 M = TypeVar("M", bound=BaseModel)
 Origin = Callable[[Location, str, int], Fault]
+Remove = Callable[[dict[Any, Any], Sequence[tuple[Location, str]]], None]  # of data, and places and kinds of faults
+ROUNDS = 5  # attempts without faulty parts: the remainder may lack a required key
 
 
 class YamlFile:
@@ -181,29 +183,36 @@ class YamlFile:
         except ValidationError as error:
             raise InputError(self._faults(model, error, data)) from None
 
-    def partly(self, model: type[M], first: str) -> tuple[M, list[Fault]]:
-        """Return the document as a model without its faulty parts, and the faults.
+    def partly(
+        self, model: type[M], first: str = "", *, data: Any = None, remove: Remove | None = None
+    ) -> tuple[M, list[Fault]]:
+        """Return the data, by default the whole, as a model without its faulty parts, and the faults.
 
         An unknown top-level key does not affect the other parts, unless it resembles the key `first`, which they need.
+
+        Args:
+            remove: Function that removes the faulty parts; by default a faulty top-level key is essential.
 
         Raises:
             InputError: A faulty part is essential, or a faulty top-level key may affect the others.
         """
-        data = copy.deepcopy(self.root)
-        try:
-            return model.model_validate(data), []
-        except ValidationError as error:
-            faults = self._faults(model, error, data)
-            places = [(location_in(data, e["loc"], e["type"]), e["type"]) for e in error.errors(include_url=False)]
-        for place, kind in places:
-            is_alien = kind == "extra_forbidden" and bool(place) and closest(str(place[0]), model.model_fields) != first
-            if len(place) < 2 and not is_alien:
-                raise InputError(faults)
-            remove_part(data, place)
-        try:
-            return model.model_validate(data), faults
-        except ValidationError:
-            raise InputError(faults) from None
+
+        def remove_inner(data: dict[Any, Any], places: Sequence[tuple[Location, str]]) -> None:
+            for place, kind in places:
+                is_alien = kind == "extra_forbidden" and closest(str(place[0]), model.model_fields) != first
+                if len(place) < 2 and not is_alien:
+                    raise InputError(faults)
+                remove_part(data, place)
+
+        data, faults = copy.deepcopy(self.root if data is None else data), list[Fault]()
+        for _ in range(ROUNDS):
+            try:
+                return model.model_validate(data), faults
+            except ValidationError as error:
+                faults = faults or self._faults(model, error, data)
+                kinds = [(location_in(data, e["loc"], e["type"]), e["type"]) for e in error.errors(include_url=False)]
+                (remove or remove_inner)(data, [(place, kind) for place, kind in kinds if place])
+        raise InputError(faults)
 
     def _faults(self, model: type[BaseModel], error: ValidationError, data: Any) -> list[Fault]:
         # Of each union, the intended branch counts: one with nested errors fits the form of the value.

@@ -15,11 +15,12 @@ from cosim.core.units import read_quantity, split_quantity
 from cosim.files.yaml_file import Part
 
 BYTES = {"": 1.0, "B": 1.0, "kB": 1e3, "MB": 1e6, "GB": 1e9, "KiB": 2.0**10, "MiB": 2.0**20, "GiB": 2.0**30}
+SCHEMA = WithJsonSchema({"type": ["number", "string"]})
 LOADING = 60.0  # default limit of loading [s] with other time limits
 
 
 def _above_zero(units: str, example: str, read_text: Callable[[str], float]) -> Any:
-    """Return the type of numbers above 0, or texts of them with a unit."""
+    """Return a validator of numbers above 0, or texts of them with a unit."""
 
     def read(value: Any) -> float:
         with suppress(ValueError):
@@ -28,7 +29,7 @@ def _above_zero(units: str, example: str, read_text: Callable[[str], float]) -> 
                 return float(number)
         raise ValueError(f"it is a number above 0 with its unit ({units}), {example} for one")
 
-    return Annotated[float, BeforeValidator(read), WithJsonSchema({"type": ["number", "string"]})]
+    return BeforeValidator(read)
 
 
 def _bytes(text: str) -> float:
@@ -36,8 +37,8 @@ def _bytes(text: str) -> float:
     return number * BYTES.get(unit, 0.0)
 
 
-Seconds = _above_zero("ms, s, min, h", "10 s", lambda text: read_quantity(text, "s"))
-Bytes = _above_zero(", ".join(filter(None, BYTES)), "2 GB", _bytes)
+Seconds = Annotated[float, _above_zero("ms, s, min, h", "10 s", lambda text: read_quantity(text, "s")), SCHEMA]
+Bytes = Annotated[float, _above_zero(", ".join(filter(None, BYTES)), "2 GB", _bytes), SCHEMA]
 
 
 class Limits(Part):

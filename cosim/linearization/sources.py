@@ -298,9 +298,8 @@ def with_parameters(model: Model, texts: Sequence[str]) -> Model:
                 values[name] = switch.get(value, short(value)) if is_switch else read_quantity(value, declared.unit)
             except ValueError as error:
                 faults.append(f"{name}={short(value)}: {error}")
-                continue
-            if fault := declared.fault(values[name]):
-                effect, dot, _ = name.rpartition(".")
-                faults.append(f"{effect}{dot}{fault}; correct the value")
     refuse(Fault(Path("--set"), 0, 0, fault) for fault in faults)
-    return model.with_values(values)
+    try:
+        return model.with_values(values)
+    except ValueError as error:
+        raise InputError.at(Path("--set"), f"{error}; correct the value") from None

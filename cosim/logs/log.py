@@ -36,6 +36,7 @@ DRIFT = 2.0  # steps by which the last row of a log may be off before rows count
 SHORT = 5.0  # percentile of the spacings of an irregular clock [%]
 MISSING = 1.5  # steps between rows from which a row is missing
 SMOOTH = 0.5  # share of the error of holding up to which interpolation is the better guess
+SENSORS = "sensors"  # kind of a finding on claimed errors of sensors
 NORMAL_95 = 1.96  # 95 % limits of a normal distribution, in standard deviations
 APART = 1.5  # multiple of the usual span of five readings beyond which readings are no neighbours
 Severity = Literal["note", "warning", "fault"]

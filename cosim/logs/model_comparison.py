@@ -75,11 +75,15 @@ def delays(log: Log, model: NamedArrays) -> Iterator[Finding]:
     """Yield findings on channels with a delay of at least half a row; slow channels are too uncertain."""
     estimates = {n: d for n, y in log.outputs.items() if n in model and (d := delay(log, y, model[n])) is not None}
     fastest = max((d.frequency for d in estimates.values()), default=0.0)
-    for name, (time, error, _, frequency) in estimates.items():
+    for name, (time, error, frequency) in estimates.items():
         if frequency < 0.6 * fastest or abs(time) < max(4.0 * error, 0.4 * log.step):
             continue
-        confirmed = _same_when_faster(log, log.outputs[name], model[name], estimates[name])
-        if confirmed is False:
+        # A wrong friction or inertia causes a delay that depends on the frequency: is that of fast changes the same?
+        rows = max(1, round(0.1 * SLOW * log.slowness / log.step))
+        changes = (np.append(np.full(rows, np.nan), y[rows:] - y[:-rows]) for y in (log.outputs[name], model[name]))
+        fast = delay(log, *changes)
+        confirmed = fast is not None and fast.frequency >= FASTER * frequency
+        if fast is not None and confirmed and not abs(fast.time - time) < max(0.3 * abs(time), 3.0 * fast.error):
             continue
         serious, (direction, cause) = confirmed and abs(time) > log.step, DIRECTIONS[time > 0]
         doubt = "or different clocks" if confirmed else REGULAR
@@ -190,13 +194,11 @@ class MeasuredDelay(NamedTuple):
     """Time delay of a measured signal relative to the model [s], with its standard error.
 
     Attributes:
-        correlation: Correlation after removal of the delay.
         frequency: Mean frequency of the signal [rad/s].
     """
 
     time: float
     error: float
-    correlation: float
     frequency: float
 
 
@@ -220,20 +222,7 @@ def delay(log: Log, measured: Array, model: Array) -> MeasuredDelay | None:
     independent = max(2.0, np.isfinite(fast).sum() * log.step / (SLOW * log.slowness) * 2.0)
     error = size / slope * math.sqrt(max(0.0, 1.0 / float(rho[k]) ** 2 - 1.0) / independent)
     error = max(error, 0.02 * log.step)  # limit of the parabola's accuracy
-    return MeasuredDelay((k - lags + float(top)) * log.step, error, float(rho[k]), slope / size)
-
-
-def _same_when_faster(log: Log, measured: Array, model: Array, slow: MeasuredDelay) -> bool | None:
-    """Return True if fast changes have the same delay as slow ones; None without fast changes.
-
-    A wrong friction or inertia causes a frequency-dependent delay.
-    """
-    rows = max(1, round(0.1 * SLOW * log.slowness / log.step))
-    changes = (np.concatenate((np.full(rows, np.nan), y[rows:] - y[:-rows])) for y in (measured, model))
-    fast = delay(log, *changes)
-    if fast is None or fast.frequency < FASTER * slow.frequency:
-        return None
-    return abs(fast.time - slow.time) < max(0.3 * abs(slow.time), 3.0 * fast.error)
+    return MeasuredDelay((k - lags + float(top)) * log.step, error, slope / size)
 
 
 def moving_part(log: Log, values: Array) -> Array:

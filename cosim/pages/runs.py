@@ -97,8 +97,6 @@ class ViewedRun:
         self.record = manifest or replay_record(folder)
         types = {"units": self.record.get("units") or {}, "names": self.place.columns}
         rows = open_rows(file, **types, text=manifest.get("beside", ()), words=manifest.get("texts", ()))
-        if self.place.entry is not None and not self._due:
-            self.place.entry.check_current()
         self.notes = [*warnings_on(folder), *map(Note, rows.assumed)]
         for names, text in (
             (rows.rounded, "drawn as the nearest double; the cursor shows all digits"),

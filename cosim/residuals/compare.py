@@ -17,7 +17,7 @@ from cosim.core.arrays import Array, NamedArrays, NamedValues
 from cosim.core.errors import SimulationError
 from cosim.core.text import join_names, plain, size
 from cosim.logs.gate import ORDER, refuse_faults
-from cosim.logs.log import Finding, Log, least_noise_level
+from cosim.logs.log import SENSORS, Finding, Log, least_noise_level
 from cosim.logs.model_comparison import output_findings
 from cosim.residuals.drive import Drive, as_columns
 from cosim.residuals.residual_statistics import (
@@ -322,6 +322,7 @@ def sentence(comparison: Comparison) -> str:
         delays = [f for f in comparison.findings if f.kind == "delay" and f.channel in wrong]
         if delays := [f for f in delays if abs(f.numbers["delay"]) > comparison.log.step]:
             cause = max(delays, key=lambda f: abs(f.numbers["delay"]) / f.numbers["error"]).whole
+        cause = next((f.whole for f in comparison.findings if f.kind == SENSORS), cause)
         texts.append(f"{worst.name} is off by {error}; the residual {follows}. {cause}.")
     elif answer == "explained":
         texts.append(f"All channels agree with the log within sensor noise; {worst.name} is off by {error}.")

@@ -17,7 +17,7 @@ from cosim.core.errors import InputError, SimulationError, Terminated, stop_erro
 from cosim.core.registry import BASE
 from cosim.core.scratch import temporary_folder
 from cosim.core.settings import Given, column_names, texts
-from cosim.core.text import as_yaml, showing
+from cosim.core.text import as_yaml, join_names, showing
 from cosim.credibility.validity import validity_of
 from cosim.files.artefact import LOG
 from cosim.files.files import (
@@ -33,6 +33,7 @@ from cosim.files.files import (
 from cosim.files.folders import (
     REPLAY,
     SCHEMA_VERSION,
+    content_of,
     name_of_file,
     remove_earlier,
     results_in,
@@ -41,12 +42,13 @@ from cosim.files.kinds import check_given
 from cosim.files.results import Results, rows_name
 from cosim.files.table import read_header, split_heading
 from cosim.fmi.building.file import load_model
+from cosim.fmi.building.refined import ANSWER, folder_of
 from cosim.fmi.description import display_units, read_description
 from cosim.fmi.fmu_build import build as build_fmu
 from cosim.isolation.limits import read_limits
 from cosim.isolation.process import Worker
 from cosim.logs.gate import gate, outliers, refuse_faults
-from cosim.logs.log import Finding, read_column_names
+from cosim.logs.log import SENSORS, Finding, read_column_names
 from cosim.logs.spikes import find_spikes
 from cosim.residuals.compare import Comparison, compare, sentence, steps_of, verdict
 from cosim.residuals.drive import MODULES, PLANT, Drive, as_columns, drive_in, log_of_fmu, start_values
@@ -129,6 +131,11 @@ def replay(
         settings: dict[str, Any] = {"progress": report_step, "limits": most, "given": given}
         drive = stack.enter_context(drive_in(worker, measured, driven, **settings))
         findings = gate(measured, drive.rate, drive.traits, {}, drive.starts)
+        if claimed := _claimed_sensors(driven):
+            message = (
+                f"{driven.name} has no {join_names(claimed)}, which the refine beside it claims; correct the readings"
+            )
+            findings.append(Finding("warning", SENSORS, "", message))
         refuse_faults(measured, findings)
         written = rows_file.name, residual_file.name, "report.html", REPLAY, NEXT_STUDY
         check_writable(place, written, (path, driven))
@@ -151,7 +158,7 @@ def replay(
             content |= {"validity": validity} if validity else {}
             write_json(place / REPLAY, {**content, "display": display}, indent=1)
             next_study = place / NEXT_STUDY
-            if answer["verdict"] != "explained":
+            if not claimed and answer["verdict"] != "explained":
                 write_text(next_study, _next_study(place, driven if fmu else None, path, names, values))
             if report and out is not None:
                 text = page(comparison, next_study, validity, passing=fmu is None)
@@ -173,6 +180,14 @@ def _plant_of(log: Path, columns: Mapping[str, str], folder: Path) -> Path:
     if known.isdisjoint({*columns.values(), *(split_heading(h)[0] for h in read_header(log))}):
         raise InputError.at(log, f"names no signal of a registered model; name its FMU: cosim replay {log} --fmu FMU")
     return build_fmu(base.recipe(), folder / "plant.fmu")
+
+
+def _claimed_sensors(fmu: Path) -> list[str]:
+    """Return the errors of sensors that a refine beside an FMU claims; no FMU holds them."""
+    beside = folder_of(fmu)
+    effects = content_of(beside / ANSWER).get("effects") if beside else None
+    entries = effects if isinstance(effects, list) else []
+    return [str(e.get("name")) for e in entries if isinstance(e, dict) and e.get("kind") == "sensor"]
 
 
 def _free_run(drive: Drive, file: Path) -> Replayed:

@@ -13,14 +13,12 @@ from operator import getitem
 from pathlib import Path, PureWindowsPath
 from typing import Any
 
-from pydantic import ValidationError
-
 from cosim.core.errors import Fault, InputError
 from cosim.core.text import did_you_mean
 from cosim.files.artefact import MANIFEST, SCENARIO, kind_by_keys
 from cosim.files.folders import other_version
 from cosim.files.kinds import check_form, refuse_other
-from cosim.files.yaml_file import Document, Location, NotYaml, Origin, YamlFile, location_in, remove_part, short
+from cosim.files.yaml_file import Document, Location, NotYaml, Origin, YamlFile, remove_part, short
 from cosim.scenario.scenario import Component, FmuComponent, Recording, Scenario, ValidCriterion
 from cosim.scenario.start_values import STAND_IN, waiting_texts
 
@@ -96,25 +94,13 @@ class ScenarioFile:
         self.broken, self.stands_in = set[str](), False  # True if name, duration or step were replaced
         lists = {key: data[key] if isinstance(data.get(key), list) else () for key in LISTS}
         self.places = {key: list(range(len(entries))) for key, entries in lists.items()}
-        try:
-            self.scenario = self.yaml.validate(Scenario, data)
-            return []
-        except InputError as error:
-            faults = [*error.faults]
-        data = copy.deepcopy(data)
-        for _ in range(5):  # The remainder may lack a required key.
-            try:
-                self.scenario = Scenario.model_validate(data)
-                return faults
-            except ValidationError as error:
-                found = error.errors(include_url=False)
-                self._drop(data, [location_in(data, e["loc"], e["type"]) for e in found])
-        raise InputError(faults)
+        self.scenario, faults = self.yaml.partly(Scenario, data=data, remove=self._drop)
+        return faults
 
-    def _drop(self, data: dict[str, Any], locations: Sequence[Location]) -> None:
-        """Remove the smallest part around each location, so that the rest can be checked."""
+    def _drop(self, data: dict[str, Any], places: Sequence[tuple[Location, str]]) -> None:
+        """Remove the smallest part around each fault, so that the rest can be checked."""
         entries: dict[Any, set[Any]] = {}
-        for first, *rest in filter(None, locations):
+        for (first, *rest), _ in places:
             if first in STAND_INS:
                 data |= STAND_INS
                 self.stands_in = True
@@ -200,7 +186,7 @@ class ScenarioFile:
             number = f"which makes {count:.3g} steps; a run may have at most {MOST_STEPS:g}"
             cure = "give a longer step or a shorter duration"
             yield ("step",), f"step is {s.step:g} s, {number}; {cure}"
-        elif not _is_whole(count):
+        elif not is_whole(count):
             where: Location = ("step",)
             if control is not None:
                 where = ("step", "max" if control.rows is None else "rows")
@@ -213,7 +199,7 @@ class ScenarioFile:
             steps, where = every / s.step, ("record", "every")
             if every > s.duration * (1.0 + ROUNDING):
                 yield where, f"{every:g} s is longer than the run, {s.duration:g} s; use a shorter time"
-            elif not _is_whole(steps):
+            elif not is_whole(steps):
                 near = " or ".join(f"{n * s.step:.6g} s" for n in (math.floor(steps), math.ceil(steps)) if n)
                 yield where, f"{every:g} s is no whole number of steps of {s.step:g} s; use for example {near}"
         for kind, k, goal in s.every_goal:
@@ -244,17 +230,14 @@ class ScenarioFile:
             key = "min" if control.min > control.max else "max"
             yield ("step", key), f"{times}; min must not exceed max, and max must not exceed rows"
         if control.min < least:
-            text = f"min is {control.min:g} s, too short for floating-point times of this run"
-            yield ("step", "min"), f"{text}; give at least {least:.2g} s"
+            yield ("step", "min"), f"min is {control.min:g} s, too short for the times of this run; give {least:.2g} s"
         if control.bonds and control.estimator not in (None, "energy"):
-            cure = f"bonds need estimator: energy, not {control.estimator}; remove one of them"
-            yield ("step", "bonds"), cure
+            yield ("step", "bonds"), f"bonds need estimator: energy, not {control.estimator}; remove one of them"
         if control.estimator == "energy" and not control.bonds:
-            cure = "estimator: energy needs bonds: [{effort: a.force, flow: b.velocity}]"
-            yield ("step", "estimator"), cure
+            yield ("step", "estimator"), "estimator: energy needs bonds: [{effort: a.force, flow: b.velocity}]"
 
 
-def _is_whole(count: float) -> bool:
+def is_whole(count: float) -> bool:
     """Return True if a number of steps is a whole number of at least 1, within rounding."""
     return abs(count - round(count)) <= ROUNDING * max(1.0, count) and round(count) >= 1
 

@@ -47,7 +47,6 @@ ARTEFACTS = (
         SSP,
         "`cosim run {file}` runs it",
         endings=(".ssp", ".ssd"),
-        text=r"(?s)(<\?xml[^>]*>\s*)?<\w*:?SystemStructureDescription\b",
         member="SystemStructure.ssd",
         check="cosim.simulation.trial:check_ssp",
     ),

@@ -21,7 +21,7 @@ from cosim.files.files import check_writable, write_json
 from cosim.files.folders import remove_earlier
 from cosim.files.kinds import kind_by_form
 from cosim.files.yaml_file import Location
-from cosim.scenario.scenario_file import ROUNDING, SYSTEM, ScenarioFile
+from cosim.scenario.scenario_file import SYSTEM, ScenarioFile, is_whole
 from cosim.system.system import build_system
 
 if TYPE_CHECKING:
@@ -147,7 +147,7 @@ def _times(system: SspSystem, warnings: list[str], overrides: Set[str]) -> tuple
         assumed.append(("step", f"no communication step: {step:g} s is taken"))
     warnings += [f"the SSP names {text}; --set {k}=… for another" for k, text in assumed if k not in overrides]
     count = duration / step
-    if abs(count - round(count)) > ROUNDING * max(1.0, count) or round(count) < 1:
+    if not is_whole(count):
         duration = math.ceil(count) * step if count < 1e15 else duration
         if overrides.isdisjoint({"duration", "step"}):
             warnings.append(f"{duration:g} s are run, the next whole number of steps of {step:g} s after stopTime")

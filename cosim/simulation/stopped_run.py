@@ -24,7 +24,6 @@ from typing import Any
 import numpy as np
 
 from cosim.blocks.model_exchange import LONGEST
-from cosim.core.drafts import remove_drafts
 from cosim.core.errors import InputError
 from cosim.core.scratch import lock_file
 from cosim.core.times import rounding, roundings
@@ -222,7 +221,6 @@ def open_stopped(path: Path, stack: ExitStack) -> StoppedRun:
     stack.enter_context(new_run(folder, "", "cosim run", force=True))
     kept = folder / FOLDER
     _wait_for_worker(kept)
-    remove_drafts(kept, (STATE, BESIDE, RUN))
     lasted: Any = record.get("timings", {}).get("simulate", 0.0)
     checkpoint: dict[str, Any] = {}
     state = read_state(kept / STATE)

@@ -13,7 +13,6 @@ import numpy as np
 
 from cosim.blocks.fmu import FmuBlock
 from cosim.core.errors import Fault, InputError, refuse
-from cosim.core.messages import with_prefix
 from cosim.core.text import did_you_mean
 from cosim.core.units import split_quantity
 from cosim.files.yaml_file import REMOVED_KEYS, YamlFile, short
@@ -117,18 +116,14 @@ class Factors:
             self._note(("vary", name), "is an input that is connected; vary what feeds it", key=True)
             return None
 
-        def value(where: Location, entry: Any) -> Any:
-            try:
-                if where != STANDARD_DEVIATION:
-                    return convert_value(block.description, variable, entry)
-                if isinstance(entry, str):  # The bounds and the unit's offset do not apply to a standard deviation.
-                    return convert_quantity(block.description, variable, entry, difference=True)
-            except ValueError as error:
-                self._note(("vary", name, *where), f"{name} is {entry!r}; {error}")
-                return None
-            return entry
+        def convert(where: Location, entry: Any) -> Any:
+            if where != STANDARD_DEVIATION:
+                return convert_value(block.description, variable, entry)
+            # The bounds and the unit's offset do not apply to a standard deviation.
+            is_text = isinstance(entry, str)
+            return convert_quantity(block.description, variable, entry, difference=True) if is_text else entry
 
-        return self._make_factor(name, varied, value, unit_of(variable) or "", is_real=variable.type not in NOT_REAL)
+        return self._make_factor(name, varied, convert, unit_of(variable) or "", is_real=variable.type not in NOT_REAL)
 
     def _of_path(self, name: str, varied: Varied) -> Factor | None:
         first = name.partition(".")[0]
@@ -144,22 +139,22 @@ class Factors:
             self._note(("vary", name), f"{first} is one for all runs; give it by `set`", key=True)
             return None
 
-        def value(where: Location, entry: Any) -> Any:
+        def convert(where: Location, entry: Any) -> Any:
             if not isinstance(entry, str):
                 return entry
-            quantity = split_quantity(entry)
             try:
                 number = self._number_at(name, entry)
-                if where == STANDARD_DEVIATION and quantity is not None:  # The unit's offset does not apply.
+                if (
+                    where == STANDARD_DEVIATION and (quantity := split_quantity(entry)) is not None
+                ):  # without its offset
                     number = self._number_at(name, f"{2.0 * quantity[0]!r} {quantity[1]}") - number
-            except ValueError as error:
-                if where[0] == "values":
-                    return resolve_file_name(self.yaml.path, name, entry)
-                self._note(("vary", name, *where), str(error))
-                return None
+            except ValueError:
+                if where[0] != "values":
+                    raise
+                return resolve_file_name(self.yaml.path, name, entry)
             return number
 
-        return self._make_factor(name, varied, value)
+        return self._make_factor(name, varied, convert)
 
     def _number_at(self, name: str, text: str) -> float:
         """Return the number of text such as `4 ms` at a scenario path; raise ValueError if none."""
@@ -188,9 +183,19 @@ class Factors:
         return (), [*file.warnings, *system.warnings]
 
     def _make_factor(
-        self, name: str, varied: Varied, value: Any, unit: str = "", *, is_real: bool = True
+        self, name: str, varied: Varied, convert: Any, unit: str = "", *, is_real: bool = True
     ) -> Factor | None:
-        """Return a factor, with values converted by `value`, a function of (place, entry)."""
+        """Return a factor, with values converted by a function of (place, entry) that raises ValueError."""
+
+        def value(where: Location, entry: Any) -> Any:
+            try:
+                return convert(where, entry)
+            except ValueError as error:
+                text = str(error)
+                text = text if text.startswith(name) else f"{name} is {entry!r}; {text}"
+                self._note(("vary", name, *where), text)
+                return None
+
         way = varied.way
         entries: Any = getattr(varied, way)
         if way == "values":
@@ -220,27 +225,24 @@ class Factors:
             is_variable, is_drawn = component in self.blocks, factor.drawn is not None
             if name == "seed" or (is_variable and not is_drawn):
                 continue
-            path, warnings = f"components.{component}.start.{variable}" if is_variable else name, list[str]()
+            path = f"components.{component}.start.{variable}" if is_variable else name
             values = factor.values or ()
             if is_drawn and columns[name]:
                 values = [min(columns[name]), max(columns[name])]
             for k, value in enumerate(values[:MAX_TESTED_VALUES]):
-                faults, texts = self._test_variant(f"{path}={json.dumps(value)}")
+                faults, warnings = self._test_variant(f"{path}={json.dumps(value)}")
                 for fault in faults:
                     where: Location = ("vary", name, way) if is_drawn else ("vary", name)
                     cure = "cut it by within: [low, high]" if way == "normal" else "move its ends"
                     text = f"{name} would be {value:g}: {fault.message}; {cure}" if is_drawn else fault.message
                     self._note((*where, way, k) if way == "values" else where, text, exit_code=fault.exit_code)
-                warnings += [text for text in texts if text not in {*self.scenario.warnings, *self.system.warnings}]
-            if warnings and not is_variable:
-                line = self.yaml.place(("vary", name), key=True)[0]
-                self.warnings.append(with_prefix(f"{self.yaml.path}:{line}: ", warnings[0]))
+                known = {*self.scenario.warnings, *self.system.warnings, *self.warnings}
+                self.warnings += [text for text in warnings if text not in known and not is_variable]
 
     def _note_overlaps(self) -> None:
-        """Note each entry of `vary` and `set` that another entry overrides.
+        """Note each entry of `vary` and `set` that a later entry overrides.
 
-        In a run, start values override paths, and `vary` overrides `set`. A path includes everything below it. Setting
-        a whole and varying a part of it is allowed.
+        `vary` overrides `set`. A path includes everything below it. To set a whole and vary a part of it is allowed.
         """
         places: list[tuple[Location, tuple[str, ...]]] = []  # entry, and its place in the scenario
         for section, names in (("set", self.file.set), ("vary", self.file.vary)):
@@ -252,17 +254,10 @@ class Factors:
                     place = tuple(str(int(k)) if k.isascii() and k.isdigit() else k for k in keys_of(name.strip()))
                 places.append(((section, name), place))
         for (first, one), (second, two) in itertools.combinations(places, 2):
-            is_part, is_whole, entry, other = one == two[: len(one)], two == one[: len(two)], second, first
             counted = second == ("vary", "seed") and self.file.vary["seed"].count is not None
-            if first[0] == second[0] == "vary" and (is_part or is_whole):
-                cure = "vary one of them"
-            elif first[0] == second[0] == "set" and is_whole:
-                cure = "set the whole first and its part after it"
-            elif first[0] != second[0] and is_whole and not counted:  # Counted seeds start from the seed in `set`.
-                cure, entry, other = "the varied value replaces this one; remove this one", first, second
-            else:
-                continue
-            line = self.yaml.place(other, key=True)[0]
-            place = one if is_whole and not is_part else two
-            text = f'{entry[1]} and "{other[1]}" of line {line} both give {".".join(place)}; {cure}'
-            self._note(entry, text, key=True)
+            both_vary = first[0] == second[0] == "vary"
+            # Counted seeds start from the seed in `set`.
+            if (two == one[: len(two)] and not counted) or (both_vary and one == two[: len(one)]):
+                line = self.yaml.place(second, key=True)[0]
+                text = f'{first[1]} and "{second[1]}" of line {line} give the same value; remove one of them'
+                self._note(first, text, key=True)

@@ -8,6 +8,7 @@ import os
 import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -21,14 +22,14 @@ from cosim.files.kinds import check_given
 from cosim.files.yaml_file import YamlFile, short
 from cosim.isolation.limits import Limits
 from cosim.isolation.process import Worker
-from cosim.isolation.watch import fmi_calls
+from cosim.isolation.watch import Watch, fmi_calls
 from cosim.master.beforehand import with_feedthrough
 from cosim.master.remote import MODULES
 from cosim.scenario.scenario import Scenario, resolve_defaults
 from cosim.scenario.scenario_file import ScenarioFile
 from cosim.simulation.manifest import resolve_scenario
 from cosim.sweeps.factors import FILES, Factors, resolve_file_name
-from cosim.sweeps.runs import Job, RunRequest
+from cosim.sweeps.runs import Job, RunRequest, time_reached
 from cosim.sweeps.sampling import Factor, columns_of
 from cosim.sweeps.store import Runs
 from cosim.sweeps.sweep_file import SweepFile
@@ -130,12 +131,13 @@ def read_sweep(path: Path, *, loads: bool = False) -> Sweep:
         tuple(signals),
         file.samples,
         len(scenario.every_goal),
-        scenario.limits or Limits(),
-        tuple(block.name for block in blocks),
-        tuple(tuple(fmi_calls(getattr(block, "description", None))) for block in blocks),
-        system.start,
-        scenario.step,
-        8 * len(system.columns),
+        Watch(
+            [block.name for block in blocks],
+            [fmi_calls(getattr(block, "description", None)) for block in blocks],
+            partial(time_reached, system.start, scenario.step),
+            scenario.limits or Limits(),
+            8 * len(system.columns),
+        ),
     )
     resolved = resolve_defaults(resolve_scenario(scenario_file, system))
     content = [__version__, resolved, job.signals, job.samples, columns]

@@ -44,15 +44,10 @@ NO_MESSAGES: Mapping[str, Any] = {"first": (), "last": (), "omitted": 0}
 
 @dataclass(frozen=True)
 class Job:
-    """Common settings of all runs: scenario, overrides, recorded signals with sample count, limits of a run.
+    """Common settings of all runs: scenario, overrides, recorded signals with sample count, number of criteria.
 
     Attributes:
-        criteria: Number of criteria.
-        components: Names of the components, for messages about a stopped worker.
-        calls: Names of their FMI calls.
-        start: Start time [s].
-        step: Communication step [s].
-        width: Size of a row [bytes].
+        watch: Limits of a run, and its components for messages about a stopped worker.
     """
 
     scenario: Path
@@ -60,16 +55,12 @@ class Job:
     signals: tuple[str, ...]
     samples: int
     criteria: int
-    limits: Limits
-    components: tuple[str, ...]
-    calls: tuple[tuple[str, ...], ...]
-    start: float
-    step: float
-    width: int
+    watch: Watch
 
-    def time(self, rows: int, call: int) -> float:
-        """Return the simulated time [s] of a run."""
-        return self.start + self.step * (max(0, rows - 1) + (call == GET and rows > 0))
+
+def time_reached(start: float, step: float, rows: int, call: int) -> float:
+    """Return the simulated time [s] of a run with its start time, communication step, rows so far and current call."""
+    return start + step * (max(0, rows - 1) + (call == GET and rows > 0))
 
 
 @dataclass(frozen=True)
@@ -122,7 +113,7 @@ def make_run_apart(job: Job, request: RunRequest) -> RunResult:
     worker: Worker = _of_thread.worker
     own_copies = request.own_copies or _of_thread.own_copies
     try:
-        watch = Watch(job.components, job.calls, job.time, job.limits, job.width)
+        watch = replace(job.watch, spent=[0.0])
         result: RunResult = worker.call(make_run, job, replace(request, own_copies=own_copies), watch=watch)
         _of_thread.runs += 1
     except CosimError as error:
@@ -139,7 +130,7 @@ def make_run(job: Job, request: RunRequest) -> RunResult:
     try:
         swept = assemble(job.scenario, (*job.overrides, *request.overrides))
         swept.keeps &= not request.own_copies
-        results = swept.simulate(request, job.limits)
+        results = swept.simulate(request, job.watch.limits)
     except StoppedRun as stop:
         if _is_stop(stop):
             raise KeyboardInterrupt from None

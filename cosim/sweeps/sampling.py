@@ -184,11 +184,11 @@ def sensitivity(
     if not varied or good.sum() < MIN_RUNS or spread <= 1e-12 * np.max(np.abs(values[good])):
         return None
     names, X = list(varied), np.column_stack(list(varied.values()))
+    problem = {"num_vars": len(names), "names": names, "bounds": [[c.min(), c.max()] for c in X.T]}
     with warnings.catch_warnings(), np.errstate(all="ignore"):
         warnings.simplefilter("ignore")
         if saltelli and good.all():
             sobol = optional("SALib.analyze.sobol", SENSITIVITY_USE)
-            problem = _problem(names, X)
             si = sobol.analyze(problem, values, calc_second_order=False, num_resamples=RESAMPLES, seed=seed)
             order = np.argsort(-np.asarray(si["ST"]))
             first, total = (tuple((float(si[n][k]), float(si[f"{n}_conf"][k])) for k in order) for n in ("S1", "ST"))
@@ -198,7 +198,7 @@ def sensitivity(
             rows = np.sort(np.random.default_rng(seed).choice(rows, MAX_RUNS, replace=False))
         values, X = values[rows], X[rows]
         rbd_fast = optional("SALib.analyze.rbd_fast", SENSITIVITY_USE)
-        si = rbd_fast.analyze(_problem(names, X), X, values, num_resamples=RESAMPLES, seed=seed)
+        si = rbd_fast.analyze(problem, X, values, num_resamples=RESAMPLES, seed=seed)
     moved, chance = _shifts(X, values, np.random.default_rng([seed, 1]))
     order = np.argsort(-moved)
     first = tuple((float(si["S1"][k]), float(si["S1_conf"][k])) for k in order)
@@ -231,7 +231,3 @@ def _shifts(X: Array, values: Array, rng: np.random.Generator) -> tuple[Array, f
 
     drawn = indices(rng.permuted(np.tile(np.arange(count), (SHUFFLES, 1)), axis=1)).max(axis=1)
     return indices(np.arange(count)[None])[0], float(np.quantile(drawn, CHANCE))
-
-
-def _problem(names: Sequence[str], X: Array) -> dict[str, Any]:
-    return {"num_vars": len(names), "names": list(names), "bounds": [[c.min(), c.max()] for c in X.T]}

@@ -158,7 +158,7 @@ def sweep(
             limits = _limits(study)
             for observer in observers:
                 observer.begin(study.name, len(runs), limits, _all_runs(databases))
-            begin, why = time.perf_counter(), ""
+            begin = time.perf_counter()
             try:
                 requests = (study.request_run(run) for run in missing)
                 for result in make_runs(requests):
@@ -174,20 +174,18 @@ def sweep(
                         progress(len(runs) - len(missing) + made, len(runs))
                 databases[0].store()
                 hold_stops()  # The table must still be written.
-            except (KeyboardInterrupt, Terminated) as stop:
-                why, cure, exit_code = "stopped", "", getattr(stop, "exit_code", 130)
-            except OSError as error:
-                if not is_full(error):
+            except (KeyboardInterrupt, Terminated, OSError) as stop:
+                full = isinstance(stop, OSError)
+                if full and not is_full(stop):
                     raise
-                why, cure, exit_code = "the disk is full", "make room, and ", DiskFull.exit_code
-            if why:
                 with suppress(OSError):  # of a full disk
                     databases[0].store()
                 kept = f"{sum(len(d.numbers()) for d in databases)} of {counted(study.count, 'run')} are kept"
+                why, cure = ("the disk is full", "make room, and ") if full else ("stopped", "")
                 cure += "the same command" if part else "--resume"
                 stopped = SweepStopped(f"{why}: {kept} in {databases[0].path}; {cure} continues the sweep")
-                stopped.exit_code = exit_code
-                raise stopped
+                stopped.exit_code = DiskFull.exit_code if full else getattr(stop, "exit_code", 130)
+                raise stopped from None
             seconds = time.perf_counter() - begin
             record = _record(study, limits, _all_runs(databases))
             record["runs_a_second"] = float(f"{made / seconds:.3g}") if made else None

@@ -54,8 +54,8 @@ GROUPS = {  # groups and verbs in the order of `cosim -h`: name → module of it
         "excite": ("measured", "cosim.experiment.excite:excite"),
     },
     "Build and export": {
-        "build": ("building", "cosim.fmi.building.build:build"),
-        "export-ssp": ("building", "cosim.authoring.export:export_ssp"),
+        "build": ("runs", "cosim.fmi.building.build:build"),
+        "export-ssp": ("runs", "cosim.authoring.export:export_ssp"),
         "schema": ("checks", ""),
     },
 }

@@ -41,7 +41,6 @@ from cosim.core.messages import Note, printable, with_severity
 from cosim.core.registry import Verb, attempt, resolve
 from cosim.core.settings import adapter, check_values
 from cosim.core.version import __version__
-from cosim.files.files import check_text
 from cosim.verbs import verbs
 
 ITEM = re.compile(r"^    (\w+)(?: \((.*?)\))?: (.*?)(?=^    \w|\n\n|\Z)", re.MULTILINE | re.DOTALL)
@@ -297,9 +296,6 @@ def entry() -> None:
             stream.reconfigure(errors="backslashreplace")
     warnings.showwarning = lambda message, category, *place: warn(str(message))
     try:
-        with suppress(FileNotFoundError):  # the current folder may be removed
-            check_text([os.getcwd()])
-        check_text([*sys.argv[1:], os.environ.get("TMPDIR", "")])
         chosen = _verb_to_complete() if "_COSIM_COMPLETE" in os.environ else (*sys.argv[1:], "-h")[0]
         code = command_line(chosen)(standalone_mode=False) or 0
     except CosimError as error:

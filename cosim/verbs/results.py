@@ -199,9 +199,7 @@ def report_command(folder: Path, *, figures: bool = False, open: bool = False, j
         raise InputError.at(rows_in(path) or path, "has no rows: the run stopped before the first row; run it again")
     check_writable(path, ("report.html",))
     warn(*run.warnings)
-    about_rows = [text for text in run.warnings if text not in warnings_on(path)]
-    manifest = {**run.manifest, "warnings": [*run.manifest.get("warnings", ()), *about_rows]}
-    write_pages(path, run.results, manifest, figures=figures)
+    write_pages(path, run.results, {"warnings": [], **run.manifest}, figures=figures)
     page = path / "report.html"
     say(f"report:  {page}")
     if json:

@@ -30,7 +30,7 @@ from plant.identification.estimates import (
     tilt_response,
 )
 from plant.identification.protocol import HeightTest, SineTest
-from plant.identification.recordings import Cells, Recording, at_rail
+from plant.identification.recordings import Recording, at_rail
 from plant.powertrain import assembly_moment, ground_effect
 
 POLYNOMIAL_DEGREES = (1, 2, 3)
@@ -106,25 +106,25 @@ def thrust_line(m: Measurement) -> Result:
     own, idle = list(zip(m.recordings, chosen, strict=True)), whole - sum(d.size for d in delayed)
     bows = [np.zeros_like(d) for d in delayed]  # [gf] error of a reading on a ramp
 
-    def thrusts(using: Cells) -> list[Array]:
-        return [_thrust(m, r, using)[k] - bow for (r, k), bow in zip(own, bows, strict=True)]
+    def thrusts(of: Measurement) -> list[Array]:
+        return [_thrust(of, r)[k] - bow for (r, k), bow in zip(own, bows, strict=True)]
 
-    def lines(using: Cells) -> Array:
-        return np.array([np.polyfit(d, y, 1)[::-1] for d, y in zip(delayed, thrusts(using), strict=True)])
+    def lines(of: Measurement) -> Array:
+        return np.array([np.polyfit(d, y, 1)[::-1] for d, y in zip(delayed, thrusts(of), strict=True)])
 
     # estimator of the thesis: all samples with equal weight over the commanded duty, cell as calibrated
     duty = np.concatenate([r.duty[k] for r, k in own])
     raw = np.concatenate([1000.0 / m.bench.gravity * m.printed_force(r, "z")[k] for r, k in own])
     slope, offset = np.polyfit(duty, raw, 1).tolist()
-    line = lines(m.cells).mean(axis=0)
+    line = lines(m).mean(axis=0)
     bows = [_bow(m, r, line, begins)[k] for r, k in own]
     if idle and line[1] > 0:  # the first estimate of zero thrust came from uncorrected ramps
-        line = lines(m.cells).mean(axis=0)
+        line = lines(m).mean(axis=0)
         delayed = [_delayed_duty(m, r, -line[0] / line[1])[k] for r, k in own]
         bows = [_bow(m, r, line, -line[0] / line[1])[k] for r, k in own]
     thesis = {"thrust_offset": offset, "thrust_slope": slope}
     result = estimated(m, "thrust_line", lines, "z", thesis, "Test 1, line by repetition")
-    thrust, r2 = thrusts(m.cells), float(np.corrcoef(duty, raw)[0, 1] ** 2)
+    thrust, r2 = thrusts(m), float(np.corrcoef(duty, raw)[0, 1] ** 2)
     degree, errors = least_degree(delayed, thrust)
     result.details = {"degree": degree, "rmse_left_out_gf": errors, "r2": r2, "highest_duty": end}
     result.details["readings_without_thrust"] = idle
@@ -199,9 +199,9 @@ def _extend_to_tangents(result: Result, degree: int, errors: Mapping[int, float]
     )
 
 
-def _thrust(m: Measurement, r: Recording, using: Cells | None = None) -> Array:
+def _thrust(m: Measurement, r: Recording) -> Array:
     """Return the thrust [gf] without the ground effect."""
-    return m.gram_force(r, "z", using) / _gain_at(m, r)
+    return m.gram_force(r, "z") / _gain_at(m, r)
 
 
 def _gain_at(m: Measurement, r: Recording) -> Array:
@@ -264,9 +264,9 @@ def ground_effect_exponent(m: Measurement) -> Result:
         rows = [[float(force(r)[m.inside(r)].mean()) for r in chosen[h][:least]] for h in (*heights, free)]
         return np.array(rows)
 
-    def gains(using: Cells, estimate: Callable[[Array], Array] = np.asarray) -> Array:
+    def gains(of: Measurement, estimate: Callable[[Array], Array] = np.asarray) -> Array:
         """Return jackknife pseudo-values of an estimate from Γ, by default Γ itself, shape (repetitions, heights)."""
-        f = forces(lambda r: m.force(r, "z", using))
+        f = forces(lambda r: of.force(r, "z"))
         every, count = np.arange(f.shape[1]), f.shape[1]
         chosen = [every, *(np.delete(every, k) for k in every)]
         whole, *fewer = (estimate(f[:-1, rows].mean(axis=1) / f[-1, rows].mean()) for rows in chosen)
@@ -290,7 +290,7 @@ def ground_effect_exponent(m: Measurement) -> Result:
     x, y, w = np.log(1.0 / (4.0 * z)), np.log((g - 1.0) / g), 1.0 / z
     thesis = {"ground_effect_exponent": float((w * x * y).sum() / (w * x * x).sum()) if good.any() else np.nan}
     origin = "Test 2, fit on Γ, 1/Z̄"
-    result = estimated(m, "ground_effect", lambda using: gains(using, fitted), "z", thesis, origin)
+    result = estimated(m, "ground_effect", lambda of: gains(of, fitted), "z", thesis, origin)
     estimate, dropped = result.estimates[0], int((~good).sum())
     if dropped:
         result.notes.append(
@@ -316,7 +316,7 @@ def ground_effect_exponent(m: Measurement) -> Result:
     def curve(k: float) -> Array:
         return gamma(k, grid, 1.0)
 
-    measured, (mean, half, *_) = forces(lambda r: m.force(r, "z")), interval(gains(m.cells))
+    measured, (mean, half, *_) = forces(lambda r: m.force(r, "z")), interval(gains(m))
     single, over = measured[:-1] / measured[-1], heights / radius
     several = [(f"k = {k:g}", grid, curve(k), f"s{n}") for n, k in enumerate((1.5, 1.75, 2.0, 2.25, 2.5))]
     readings = ("single ratios", np.repeat(over, single.shape[1]), single.ravel(), "dots")
@@ -361,15 +361,15 @@ def projection(m: Measurement) -> Result:
     test = m.test
     functions: Sequence[tuple[str, str, Any]] = (("z", "vertical", np.cos), ("x", "horizontal", np.sin))
 
-    def runs(c: str, f: Any, using: Cells) -> Iterator[tuple[Array, Array, Array, float]]:
+    def runs(of: Measurement, c: str, f: Any) -> Iterator[tuple[Array, Array, Array, float]]:
         """Yield tilt, its function after the low pass, and force in the window, and the thrust, of each run."""
         for r in m.recordings:
             w, alpha = m.inside(r), m.tilt(r)
-            thrust = float(m.force(r, "z", using)[r.rows(test.hold)].mean())
-            yield alpha[w], low_pass(f(alpha), r.step, test.low_pass)[w], m.force(r, c, using)[w], thrust
+            thrust = float(of.force(r, "z")[r.rows(test.hold)].mean())
+            yield alpha[w], low_pass(f(alpha), r.step, test.low_pass)[w], of.force(r, c)[w], thrust
 
-    def factors(using: Cells) -> Array:
-        each = [[y @ s / (s @ s) / thrust for _, s, y, thrust in runs(c, f, using)] for c, _, f in functions]
+    def factors(of: Measurement) -> Array:
+        each = [[y @ s / (s @ s) / thrust for _, s, y, thrust in runs(of, c, f)] for c, _, f in functions]
         return np.array(each).T
 
     # thesis: thrust of five rows of the fifth test, commanded angle, no tare
@@ -382,7 +382,7 @@ def projection(m: Measurement) -> Result:
     for letter, (c, _, f) in zip("VH", functions, strict=True):
         off = [
             stats.binned_statistic(alpha, y / thrust - s, "mean", edges).statistic  # NaN for an empty bin
-            for alpha, s, y, thrust in runs(c, f, m.cells)
+            for alpha, s, y, thrust in runs(m, c, f)
         ]
         largest[letter] = float(np.nanmax(np.abs(np.mean(off, axis=0))))
     result.details = {"largest_deviation": largest}
@@ -408,12 +408,12 @@ def moment(m: Measurement) -> Result:
     def per_arm(alpha: Array) -> Array:
         return np.asarray(assembly_moment(arrays(), alpha, bench.assembly_mass, bench.gravity, 1.0))
 
-    def arms(using: Cells) -> Array:
+    def arms(of: Measurement) -> Array:
         rows = []
         for r in m.recordings:
             s = low_pass(per_arm(m.tilt(r)), r.step, m.test.low_pass)[m.inside(r)]
             s = s - s.mean()
-            rows.append([float(s @ m.force(r, "m", using)[m.inside(r)] / (s @ s))])
+            rows.append([float(s @ of.force(r, "m")[m.inside(r)] / (s @ s))])
         return np.array(rows)
 
     thesis = {"assembly_arm": m.printed_factor("m", per_arm)}
@@ -485,11 +485,11 @@ def after_step(m: Measurement, *, thrust: bool = False) -> Result:
     channel, name, title = ("z", "lag_of_thrust", "thrust") if thrust else ("x", "lag", "horizontal force")
     at, window, axes = m.test.at, (m.test.at - BEFORE, m.test.window[1]), ("time after the step [s]", "gf")
 
-    def lags(using: Cells) -> Array:
+    def lags(of: Measurement) -> Array:
         cost = []
         for r in m.recordings:
             rows = r.rows(window)
-            table, y = _step_response(m, r, LAGS, thrust=thrust)[rows], m.force(r, channel, using)[rows]
+            table, y = _step_response(m, r, LAGS, thrust=thrust)[rows], of.force(r, channel)[rows]
             table, y = table - table.mean(axis=0), y - y.mean()
             cost.append(y @ y - ((table / np.sqrt((table**2).sum(axis=0))).T @ y) ** 2)
         return least(LAGS, np.array(cost))[:, None]
@@ -566,16 +566,16 @@ def after_sines(m: Measurement) -> Result:
     chosen = [[(by_frequency[w][k], w) for w in frequencies] for k in range(count)]
     tables = np.array([_sine(r, _step_response(m, r, LAGS), w, test) for r, w in chosen[0]])
 
-    def amplitudes(using: Cells) -> Array:
-        return np.array([[_sine(r, m.force(r, "x", using), w, test) for r, w in row] for row in chosen])
+    def amplitudes(of: Measurement) -> Array:
+        return np.array([[_sine(r, of.force(r, "x"), w, test) for r, w in row] for row in chosen])
 
     def scale(c: Array) -> Array:
         """Return the force per sine of the tilt at each lag, shape (repetitions, lags); tables by frequency and lag."""
         along = (np.conj(tables).T[None] * c[:, None, :]).sum(axis=2).real
         return np.asarray(along / (np.abs(tables) ** 2).sum(axis=0))
 
-    def lags(using: Cells) -> Array:
-        c = amplitudes(using)
+    def lags(of: Measurement) -> Array:
+        c = amplitudes(of)
         cost = (np.abs(c[:, None, :] - scale(c)[:, :, None] * tables.T[None]) ** 2).sum(axis=2)
         return least(LAGS, cost)[:, None]
 
@@ -584,7 +584,7 @@ def after_sines(m: Measurement) -> Result:
     lines = -10.0 * np.log10(1.0 + (frequencies[None] * LAGS[:, None]) ** 2)
     by_magnitude = float(least(LAGS, ((lines - thesis[0].mean(axis=0)) ** 2).sum(axis=1)[None])[0])
     result = estimated(m, "frequency", lags, "x", {"lag": by_magnitude}, "Test 4, sines fitted")
-    tau, c = result.estimates[0].value, amplitudes(m.cells)
+    tau, c = result.estimates[0].value, amplitudes(m)
     place = int(np.argmin(np.abs(LAGS - tau)))
     points = c / scale(c)[:, [place]] / tables[:, place] * (1.0 / (1.0 + 1j * frequencies * LAGS[place]))
     rows = np.arange(-(SMOOTHED_ROWS // 2), SMOOTHED_ROWS // 2 + 1)

@@ -16,7 +16,7 @@ recorded commands; both results are given.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from itertools import pairwise
 from pathlib import Path
@@ -34,9 +34,9 @@ from cosim.core.units import square_unit
 from cosim.files.kinds import check_given
 from cosim.files.yaml_file import Number, Part, YamlFile
 from cosim.fmi.building.file import LoadedModel, load_model
-from cosim.fmi.building.own_run import command_rows
+from cosim.fmi.building.own_run import predicted_outputs
 from cosim.logs.log import Log, read_log
-from cosim.model import Model, Stepper, parameters_of
+from cosim.model import Model, parameters_of
 from plant.identification import PROTOCOL
 from plant.identification.estimates import Estimate, Figure, Result, make_estimates
 from plant.identification.protocol import Files, Window
@@ -217,7 +217,7 @@ def _distance(runs: Sequence[Log], loaded: LoadedModel, asked: DistanceFile) -> 
             except ValueError as error:
                 matches.append(np.nan)
                 if distance_of is by_model:
-                    text = f"the model covers the distance {length:g} with no value of {parameter}: {error}"
+                    text = f"no value of {parameter} makes the model cover the distance {length:g}: {error}"
                     faults.append(Fault(run.path, 0, 0, text))
     refuse(faults)
     thesis = float(np.mean(observed)) if observed else np.nan
@@ -247,7 +247,7 @@ def _match(distance_of: Callable[[float], float], length: float, bounds: tuple[f
     def gap(value: float) -> float:
         return distance_of(value) - length
 
-    wide, gaps = WIDE_RANGE * (abs(near) or 1.0), list[float]()
+    wide = WIDE_RANGE * (abs(near) or 1.0)
     low, high = (b if np.isfinite(b) else near + sign * wide for b, sign in zip(bounds, (-1, 1), strict=True))
     for shares in pairwise((0.0, *SHARES)):
         for end in (high, low):
@@ -255,24 +255,13 @@ def _match(distance_of: Callable[[float], float], length: float, bounds: tuple[f
             pair = [*map(gap, bracket)]
             if np.isfinite(pair).all() and pair[0] * pair[1] <= 0.0:
                 return float(optimize.brentq(gap, *bracket, xtol=1e-9, rtol=1e-9))
-            gaps += pair
-    reached = [g + length for g in gaps if np.isfinite(g)]
-    span = (
-        f"the reachable distances are {min(reached):.4g} to {max(reached):.4g}"
-        if reached
-        else "no distance is reachable"
-    )
-    raise ValueError(f"{span} within the bounds {low:g} … {high:g}; check the distance and the signs of the inputs")
+    raise ValueError(f"none is between {low:g} and {high:g}; check the distance and the signs of the inputs")
 
 
 def _path(run: Log, model: Model, output: str) -> Array:
-    """Return a model output under the recorded commands."""
-    stepper, row = Stepper(model), [q.name for q in model.outputs].index(output)
-    commands, moments = command_rows(model, run), [stepper.start(float(run.time[0]))]
-    for command, h in zip(commands, np.diff(run.time).tolist(), strict=False):
-        moments.append(stepper.step(moments[-1], command, h))
-    shown = [stepper.output(m.t, m.state, command)[row] for m, command in zip(moments, commands, strict=True)]
-    return np.asarray(np.array(shown) - shown[0], dtype=np.float64)
+    """Return the change of a model output under the recorded commands, NaN after divergence."""
+    shown = predicted_outputs(model, replace(run, outputs={}), {})[output]
+    return np.asarray(shown - shown[0])
 
 
 def _observer_distance(run: Log, model: Model, parameter: str, output: str) -> Callable[[float], float] | None:

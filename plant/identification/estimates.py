@@ -94,9 +94,9 @@ class Measurement:
     test: Any
     truth: Bench | None = None
 
-    def force(self, r: Recording, channel: str, using: Cells | None = None) -> Array:
+    def force(self, r: Recording, channel: str) -> Array:
         """Return the force of a cell without its tare."""
-        cell, volts = (using or self.cells)[channel], r.volts[channel]
+        cell, volts = self.cells[channel], r.volts[channel]
         drift = float(volts[r.rows(self.test.rest)].mean()) - cell.zero
         return cell.force(volts - drift)
 
@@ -108,9 +108,9 @@ class Measurement:
         """Return a run's tilt [rad], computed by the bench equations."""
         return tilt_response(self.bench, r.time, r.servo_duty, np.array([self.bench.lag]))[:, 0]
 
-    def gram_force(self, r: Recording, channel: str, using: Cells | None = None) -> Array:
+    def gram_force(self, r: Recording, channel: str) -> Array:
         """Return the force of a cell without its tare [gf]."""
-        return 1000.0 / self.bench.gravity * self.force(r, channel, using)
+        return 1000.0 / self.bench.gravity * self.force(r, channel)
 
     def inside(self, r: Recording) -> Flags:
         """Return the rows in the window of the test."""
@@ -204,7 +204,7 @@ def make_estimates(
 def estimated(
     m: Measurement,
     test: str,
-    values: Callable[[Cells], Array],
+    values: Callable[[Measurement], Array],
     channels: str,
     thesis: Mapping[str, float],
     origin: str,
@@ -212,18 +212,19 @@ def estimated(
     """Return the result of a test with its estimates.
 
     Args:
-        values: Function from the cells to the values of each repetition, shape (N, p).
+        values: Function from the measurement to the values of each repetition, shape (N, p).
         channels: Cells whose points change.
         thesis: Estimate of the thesis of each number.
     """
-    each = values(m.cells)
+    each = values(m)
     rows = []
     for c in channels:
         cell = m.cells[c]
         for k in np.flatnonzero(cell.loads) if cell.error > 0 else ():  # zero load is exact
             loads = cell.loads.copy()
             loads[k] += cell.error
-            rows.append(values({**m.cells, c: replace(cell, loads=loads)}).mean(axis=0) - each.mean(axis=0))
+            moved = replace(m, cells={**m.cells, c: replace(cell, loads=loads)})
+            rows.append(values(moved).mean(axis=0) - each.mean(axis=0))
     shifts = np.array(rows) if rows else np.zeros((0, each.shape[1]))
     numbers = []
     for name, by_thesis in thesis.items():

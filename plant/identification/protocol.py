@@ -36,7 +36,7 @@ MIN_REPETITIONS = 3  # repetitions: intervals are computed from the scatter betw
 CHANNELS = {"z": "N", "x": "N", "m": "N.m"}  # cell → SI unit
 BENCH = "bench"  # the bench of this package
 MAX_OVERLOAD = 1.5  # largest calibration load, as a multiple of full scale
-MAX_RUN_TIME = 3600.0  # [s] of a simulated run
+MIN_STEP, MAX_RUN_TIME = 1e-3, 3600.0  # [s] between rows of a simulated run, and of the whole
 MIN_LOADS = 4  # different loads of a calibration
 
 
@@ -219,9 +219,12 @@ class SineTest(Test):
     @field_validator("periods")
     @classmethod
     def _one_each(cls, periods: list[float], info: ValidationInfo) -> list[float]:
-        """Raise ValueError if the numbers of periods and frequencies differ."""
-        if len(periods) != len(info.data.get("frequencies", periods)):
+        """Raise ValueError if the numbers of periods and frequencies differ, or a run is too long."""
+        frequencies = info.data.get("frequencies", periods)
+        if len(periods) != len(frequencies):
             raise ValueError("give one number for each frequency")
+        if max((2.0 * math.pi * n / w for n, w in zip(periods, frequencies, strict=True)), default=0.0) > MAX_RUN_TIME:
+            raise ValueError(f"a run may last {MAX_RUN_TIME:g} s; give fewer periods")
         return periods
 
 
@@ -272,7 +275,7 @@ class ProtocolFile(Part):
     bench: str | None = None
     model: str = "hovercraft"
     seed: Annotated[int, Field(strict=True, ge=0)] = 1
-    step: PositiveSeconds = 0.02
+    step: Annotated[Positive, Field(ge=MIN_STEP), InUnit("s")] = 0.02
     parameters: dict[str, Annotated[Number, UNIT_OF_KEY]] = Field(default={})
     draws: Draws = Draws()
     cells: dict[str, CellFile]
@@ -328,8 +331,7 @@ def read_protocol(path: Path) -> Protocol:
             cure = "give a bench to simulate as `bench:`, or recordings as `files:`"
             faults.append(yaml.fault(("tests", name), f"has no files, and no bench is simulated; {cure}", key=True))
     if content.bench not in (None, BENCH) and not (path.parent / str(content.bench)).is_file():
-        cure = f"write {BENCH} for the bench of this package, or the path of your own FMU"
-        faults.append(yaml.fault(("bench",), f"no such FMU: {content.bench}; {cure}"))
+        faults.append(yaml.fault(("bench",), f"no such FMU: {content.bench}; give its path, or {BENCH}"))
     refuse(faults)
     bench = bench.with_values(values)
     if (ground := content.tests.ground_effect) is not None and not ground.files:

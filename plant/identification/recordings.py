@@ -26,8 +26,7 @@ from plant.identification.protocol import CHANNELS, HeightTest, Protocol, SineTe
 from plant.powertrain import servo_angle
 
 LOAD_TIME = 1.0  # [s] duration of a calibration load
-MAX_MISSING = 0.02  # largest share of single missing rows, which are interpolated
-LATE_ROW = 1.5  # steps between two rows from which a row is missing
+MAX_SPACING = 2.5  # largest distance of two rows in steps; between them one row is missing and is interpolated
 COLUMNS = (*Bench.inputs[:3], *Bench.outputs[:3])  # of a recording, beside the time
 
 
@@ -206,23 +205,17 @@ def read_recording(path: Path) -> Recording:
         InputError: Every fault of the file.
     """
     log = read_log(path, COLUMNS, ())  # readings are as complete as commands
-    number = log.grid
+    spacing, number = np.diff(log.time), log.grid
+    row, step = int(np.argmax(spacing)) + 1, float(np.median(spacing))
+    if spacing.max() > MAX_SPACING * step:
+        text = f"the time step before this row is {spacing.max():.3g} s instead of {step:.3g} s"
+        cure = f"resample to rows {step:.3g} s apart, with linear interpolation of volts and constant duties"
+        raise InputError([Fault(path, log.header + row + 1, 1, f"{text}: {cure}")])
     whole = np.arange(number[-1] + 1)
     time, *volts = (np.interp(whole, number, v) for v in (log.time, *(log.inputs[q.name] for q in COLUMNS[3:])))
-    has_gap = np.diff(number).max() > 2 or whole.size - number.size > MAX_MISSING * whole.size
-    if has_gap or np.diff(time).max() > LATE_ROW * np.median(np.diff(time)):
-        spacing = np.diff(log.time)
-        row, step = int(np.argmax(spacing)) + 1, float(np.median(spacing))
-        text = (
-            f"the time step before this row is {spacing.max():.3g} s instead of {step:.3g} s; rows are "
-            "missing, or the clock"
-        )
-        cure = f"resample to rows {step:.3g} s apart, with linear interpolation of volts and constant duties"
-        raise InputError([Fault(path, log.header + row + 1, 1, f"{text} is uneven: {cure}")])
     before = np.searchsorted(number, whole, side="right") - 1
     duty, servo_duty, height = (log.inputs[q.name][before] for q in COLUMNS[:3])
-    lines = (log.header + 1 + before).tolist()
-    by_cell = dict(zip(CHANNELS, volts, strict=True))
+    lines, by_cell = (log.header + 1 + before).tolist(), dict(zip(CHANNELS, volts, strict=True))
     return Recording(path.name, time, duty, servo_duty, height, by_cell, path=path, lines=lines)
 
 
@@ -333,19 +326,13 @@ def calibrate(protocol: Protocol, hung: Mapping[str, Sequence[Recording]]) -> di
         steps = np.diff(f)
         turns = (np.diff(v) <= 0) | (steps * (np.median(steps) if steps.size else 0.0) <= 0)
         if (beyond := (volts < -RAIL_SLACK * limit) | (volts > (1.0 + RAIL_SLACK) * limit)).any():
-            text = f"a point has {volts[beyond][0]:g} V, outside the converter's 0 to {limit:g} V; give volts, or "
-            text += "`converter_range` under `parameters`"
+            text = f"a point has {volts[beyond][0]:g} V, outside 0 to {limit:g} V; give volts, or `converter_range`"
         elif f.size < MIN_POINTS:
-            text = (
-                f"{f.size} of {loads.size} points are inside the converter's range, by more than their error from its "
-            )
-            text += f"ends; at least {MIN_POINTS} are needed; measure more points inside the range"
+            inside = f"{f.size} of {loads.size} points are further from the ends of the range than their error"
+            text = f"{inside}; at least {MIN_POINTS} are needed; measure more points inside the range"
         elif turns.any():
             low, high = v[np.argmax(turns)], v[np.argmax(turns) + 1]
-            text = (
-                f"between {low:.4g} V and {high:.4g} V the load does not increase monotonically; measure these "
-                "points again"
-            )
+            text = f"between {low:.4g} V and {high:.4g} V the load does not increase monotonically; measure again"
         if text:
             faults.append(protocol.yaml.fault(("cells", channel), text, key=True))
         cells[channel] = Cell(f, v, error, tuple(loads[rail].tolist()))

@@ -112,7 +112,7 @@ class RemoteLibraryKernel:
             worker, kernels = _idle.get_nowait()
         except queue.Empty:
             worker, kernels = Worker(*MODULES), {}
-        most = (self.limits.load or LOADING) * len(passes)
+        most = (self.limits.load or LOADING) * len({id(data) for data, *_ in passes})
         # An FMU that hung once often hangs at each value beyond a limit, for which a search must not wait each time.
         most = min(most, max(1.0, SLOW * self._longest)) if self._has_hung else most
         try:

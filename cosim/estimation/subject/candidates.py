@@ -165,27 +165,6 @@ def spread(name: str, group: str) -> str:
     return f"spread of {name}@{group}"
 
 
-def own_parameters(
-    subject: Subject,
-    names: Sequence[str],
-    groups: Sequence[str],
-    values: NamedValues,
-    tolerance: NamedValues,
-) -> Iterator[Free]:
-    """Yield each parameter once per group of logs, with a prior around its value.
-
-    Args:
-        tolerance: Parameter → relative tolerance, by default that of the model.
-    """
-    for name in names:
-        p, value = subject.declared[name], values[name]
-        share = tolerance.get(name, p.tolerance)
-        sigma = usual_size(p) if share is None or p.neutral is not None else spread_of_base(p, value, share)
-        for group in dict.fromkeys(groups):
-            prior = (value, sigma)
-            yield Free(own(name, group), *p.bounds, min(usual_size(p), sigma), prior, parameter=name, group=group)
-
-
 def drop_own_parameters(candidates: Sequence[Candidate], names: Sequence[str]) -> Iterator[Candidate]:
     """Yield the candidates with parameters per log removed, since these are free in every hypothesis."""
     for c in candidates:

@@ -216,10 +216,6 @@ class Subject(Protocol):
         """Return a one-step predictor for the detection of outliers; None to use neighbours."""
         return None
 
-    def nameless(self, signal: str) -> tuple[Callable[..., Any], Mapping[str, str]] | None:
-        """Return an unnamed term as a function, and its arguments: name of a signal → unit; None without such terms."""
-        return None
-
     def quick_replayer(self, place: Workplace) -> Replayer | None:
         """Return a faster replayer with equal results, or None.
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Generator, Mapping, Sequence
+from collections.abc import Generator, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, field, replace
 from functools import cache, partial
@@ -14,7 +14,6 @@ from typing import Any, Literal, Self
 from cosim.core.arrays import NamedValues
 from cosim.core.units import DISPLAY
 from cosim.estimation.kernel.backend import kernel
-from cosim.estimation.kernel.generate import Known, bases
 from cosim.estimation.kernel.kernel import Data, Kernel
 from cosim.estimation.subject.candidates import Candidate, base_parameter, effect
 from cosim.estimation.subject.interface import Predict, Replayer, Start, Subject, Workplace
@@ -28,7 +27,6 @@ from cosim.logs.log import Log
 from cosim.model.integrate import substeps
 from cosim.model.model import Effect, Model, overrides
 from cosim.model.quantities import parameters_of
-from cosim.model.symbolic.symbols import symbolic
 from cosim.model.traits import Traits
 from cosim.residuals.drive import drive_in
 from cosim.residuals.windows import Replay, windows
@@ -122,19 +120,6 @@ class ModelSubject(Subject):
     def prediction(self, log: Log) -> Predict | None:
         """Return a one-step predictor of a log's rows."""
         return partial(predicted_outputs, self.model, log)
-
-    def nameless(self, signal: str) -> tuple[Callable[..., Any], Mapping[str, str]] | None:
-        """Return a basis function of the kernel's unnamed terms."""
-        import sympy
-
-        known = Known.of(symbolic(self.model))
-        basis = bases(known).get(signal)
-        if basis is None:
-            return None
-        named = [("time", "s", known.time), *((q.name, q.unit, x) for q, x in known.states)]
-        named += [(f"command {q.name}", q.unit, u) for q, u in known.commands]
-        used = [entry for entry in named if entry[2] in sympy.sympify(basis).free_symbols]
-        return sympy.lambdify([x for *_, x in used], basis, "numpy"), {name: unit for name, unit, _ in used}
 
     def refined(self, claims: NamedValues) -> ModelSubject:
         """Return the model with the claimed values; values of sensor errors are stored separately."""
