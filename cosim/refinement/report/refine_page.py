@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import math
 import platform
 from collections.abc import Mapping, Sequence
@@ -59,6 +58,7 @@ from cosim.residuals.compare import horizon_name
 from cosim.residuals.report import neighbours
 from cosim.residuals.residual_statistics import FREE_RUN, lags_of, remaining_excess, rmse, whiteness
 from cosim.residuals.windows import SKIPPED
+from cosim.scenario.scenario_file import sha256
 
 TEMPLATE = Path(__file__).with_name("templates") / "refine.html.j2"
 TONES: Mapping[str, str] = {"ambiguous": "warn", "unexplained": "bad"}  # of the other verdicts: good
@@ -190,24 +190,19 @@ def _provenance(r: Refinement) -> list[Row]:
     logs += [("Sealed log", log) for log, _ in r.evidence["before"].get("validation", ())]
     for label, log in logs:
         note = f"{log.rows} rows, t = {log.time[0]:g} … {log.time[-1]:g} s, measures {', '.join(log.outputs)}"
-        rows.append(Row(label, str(path_from_here(log.path)), f"{note}\n{_digest(log.path)}"))
+        rows.append(Row(label, str(path_from_here(log.path)), f"{note}\nsha256 {sha256(log.path)}"))
     taken = r.record["inputs"]["taken"].items()
     rows.append(Row("Inputs between rows", ", ".join(f"{n} {way}" for n, way in taken)))
     labels = ("Refined model", "Refined FMU") if claim else ("Model, unchanged", "FMU, unchanged")
     licence = f"\ncontains {Path(subject.source).name}: check its licence before you distribute it" * subject.probed
     for name, label in zip((*REFINED, *NEAREST), (*labels, "Nearest model", "Nearest FMU"), strict=True):
         if (file := r.folder / name).is_file():
-            rows.append(Row(label, str(path_from_here(file)), _digest(file) + licence))
+            rows.append(Row(label, str(path_from_here(file)), f"sha256 {sha256(file)}{licence}"))
     is_stated = any(subject.values[n] != float(p.default) for n, p in subject.sensor_parameters.items())
     if is_stated or any(c.kind == "sensor" for c in (claim.candidates if claim else ())):
         place = "refine.json" if subject.probed else "model.yaml"
         rows.append(Row("Sensors", f"errors stand in {place}; the FMU says what is there, not what is read"))
     return [*rows, Row("Made by", f"cosim {__version__}, Python {platform.python_version()}, numpy {np.__version__}")]
-
-
-def _digest(path: Path) -> str:
-    with path.open("rb") as stream:
-        return f"sha256 {hashlib.file_digest(stream, 'sha256').hexdigest()}"
 
 
 def ranking(r: Refinement) -> TableRows:
