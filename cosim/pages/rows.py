@@ -31,7 +31,7 @@ from cosim.files.files import scratch_folder
 from cosim.files.folders import content_of
 from cosim.files.results import is_rounded, read_results
 
-BLOCK = 32  # rows of a block
+BLOCK = 16  # rows of a block
 BLOCKS = 4  # minimum number of blocks per pixel column, so that an edge is wrong by at most a quarter of a column
 MAX_ROWS = 2  # rows per pixel column up to which rows are drawn unchanged
 ROOM = 4096  # rows for which a growing recording has room at first
