@@ -6,7 +6,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import BeforeValidator, ValidationError
+from pydantic import BeforeValidator, ValidationError, WithJsonSchema
 
 from cosim.core.errors import Fault, InputError
 from cosim.core.settings import reason_of
@@ -27,7 +27,7 @@ def _bytes(value: Any) -> Any:
     return number * BYTES[unit]
 
 
-Bytes = Annotated[Positive, BeforeValidator(_bytes)]
+Bytes = Annotated[Positive, BeforeValidator(_bytes), WithJsonSchema({"type": ["number", "string"]})]
 
 
 class Limits(Part):

@@ -488,3 +488,8 @@ class DriveApart(Drive):
             self._worker.spent,
             None if progress is None else lambda made: progress(driven + made),
         )
+
+
+def drive_in(worker: Worker | None, log: Log, fmu: Path, *, limits: Limits | None = None, **options: Any) -> Drive:
+    """Return a drive whose FMU runs in a worker process, if any; further options are those of `Drive`."""
+    return Drive(log, fmu, **options) if worker is None else DriveApart(worker, log, fmu, limits=limits, **options)

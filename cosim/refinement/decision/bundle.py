@@ -14,9 +14,8 @@ from scipy.special import expit, logsumexp, ndtr
 from cosim.core.arrays import Array, NamedValues, Rows
 from cosim.core.linear_algebra import least_squares
 from cosim.estimation.data import count_unscored, lagged_table
-from cosim.estimation.fit import Fit, fit, inverse, slopes, with_flat_directions
+from cosim.estimation.fit import Fit, fit, fit_for_held_out, inverse, slopes, with_flat_directions
 from cosim.estimation.parallel import in_parallel, raise_if_cancelled
-from cosim.estimation.per_log import fit_for_held_out
 from cosim.estimation.posing import halve_log
 from cosim.estimation.problem import Problem, Scored
 from cosim.estimation.subject.candidates import (

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from contextlib import AbstractContextManager
 from copy import copy
 from dataclasses import replace
 from pathlib import Path
@@ -28,7 +27,7 @@ from cosim.refinement.proof.measure import (
     refined_variant,
 )
 from cosim.refinement.search.fits import Hypothesis, Search
-from cosim.residuals.drive import Drive, DriveApart
+from cosim.residuals.drive import drive_in
 from cosim.residuals.log_region import log_records, region_of_logs, rows_inside
 from cosim.residuals.residual_statistics import FREE_RUN
 from cosim.residuals.windows import SKIPPED
@@ -54,11 +53,8 @@ def credibility_of(
         replayed: Replays of the delivered model over its horizon, by set of logs.
     """
     logs, sealed = sets["estimation"], sets.get("validation", ())
-    problem, worker = search.problem, place.worker
-    drive: AbstractContextManager[Drive] = (
-        Drive(logs[0], fmu) if worker is None else DriveApart(worker, logs[0], fmu, limits=place.limits)
-    )
-    with drive as driven:
+    problem = search.problem
+    with drive_in(place.worker, logs[0], fmu, limits=place.limits) as driven:
         region = region_of_logs(driven, replayed["estimation"])
         inside = rows_inside(region, driven, replayed["validation"]) if sealed else []
     without = [variant] * len(logs)

@@ -24,12 +24,12 @@ from cosim.core.errors import InputError, SimulationError
 from cosim.core.linear_algebra import square_roots
 from cosim.core.text import plain
 from cosim.estimation.data import past_reading, replayed
-from cosim.estimation.fit import Fit
+from cosim.estimation.fit import Fit, expected_values, group_values
 from cosim.estimation.kernel.kernel import MEMORY as LASTS
 from cosim.estimation.kernel.kernel import Begin, simulate_all
-from cosim.estimation.per_log import expected_values, group_values, own
 from cosim.estimation.posing import with_likely_starts, with_logs
 from cosim.estimation.problem import Noise, Problem
+from cosim.estimation.subject.candidates import own
 from cosim.estimation.subject.interface import Replayer, Start, Subject, Workplace
 from cosim.logs.log import Log
 from cosim.model.namespaces import arrays
