@@ -58,7 +58,7 @@ class GeneratedCode:
         self.switches = switches
         self._parameters = list(trace.s.parameters)
         self._effects = [e.name for e in trace.effects]
-        places = trace.places({name: f"p[{k}]" for k, name in enumerate(self._parameters)})
+        places = trace.places({name: k for k, name in enumerate(self._parameters)})
         functions = (
             ("derivatives", "t x u p", trace.blocks, trace.derivative),
             ("outputs", "t x u p", trace.blocks, trace.outputs),
