@@ -45,6 +45,7 @@ def _decode(data: bytes) -> tuple[Own, Callable[[], bytes]]:
     Raises:
         ValueError: The bytes are not the state of an FMU of cosim.
     """
+    own: Own
     if data.startswith(JSON):
         content = json.loads(data)
         t, state, memory = content["own"]
