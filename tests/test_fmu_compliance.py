@@ -12,7 +12,6 @@ from typing import Any
 import pytest
 from fmpy.validation import validate_fmu
 
-from cosim.core.units import parse
 from tests.hosts_fmpy import Instance, description_of
 from tests.test_effects import EVERYTHING, MEMORY, MOVING, named
 
@@ -54,15 +53,6 @@ def test_variables_of_the_controller_are_those_other_tools_rely_on(controller_fm
         *(name for name in found if "variance" in name), "duty_nominal", "mass", "izz", "arm", "friction", "lag",
         "thrust_nominal", "yaw_damping", "sample_time", "fix_latency",
     }  # fmt: skip
-
-
-@BOTH
-def test_a_unit_is_defined_as_its_name_reads(fmu: Path) -> None:
-    for unit in description_of(fmu).unitDefinitions:
-        known, base = parse(unit.name), unit.baseUnit
-        assert known is not None
-        assert {n: getattr(base, n) for n in ("kg", "m", "s", "rad") if getattr(base, n)} == known.exponents, unit.name
-        assert base.factor == pytest.approx(known.factor, rel=1e-15), unit.name  # one or two roundings
 
 
 # -- model structure ----------------------------------------------------------------------------

@@ -18,7 +18,7 @@ from pathlib import Path
 
 from cosim.core.drafts import draft_of
 from cosim.fmi.model_description import ASSETS, Description, describe, documentation, model_text
-from cosim.fmi.ports import Value, with_starts
+from cosim.fmi.ports import Value, model_ports, with_starts
 from cosim.model.model import Model
 from cosim.model.traits import Traits
 
@@ -81,11 +81,11 @@ def model_recipe(model: Model, file: Path, values: Mapping[str, float | bool] | 
 
 def about_model(model: Model, text: str) -> Description:
     """Return the data for the modelDescription.xml of a model."""
-    from cosim.fmi.ports import model_ports
-    from cosim.model.symbolic.symbols import direct_dependencies, initial_dependencies
+    from cosim.model.symbolic.symbols import output_dependencies
 
-    about = text, model_ports(model), direct_dependencies(model), initial_dependencies(model)
-    return Description(*about, step=model.rate, stop=10.0, variable_step=True, traits=Traits.of(model))
+    dependencies = output_dependencies(model)
+    traits = Traits.of(model)
+    return Description(text, model_ports(model), *dependencies, model.rate, 10.0, variable_step=True, traits=traits)
 
 
 def build(recipe: Recipe, path: Path) -> Path:

@@ -1,13 +1,9 @@
 """Workaround for pythonfmu 0.7.0, which releases two objects twice and thereby crashes the host of an FMU.
 
-pythonfmu runs the slave's script at import and again at every instantiation. It then releases the module's
-dictionary
-without owning a reference: the dictionary is freed while in use, and the host crashes at a later garbage collection
-or
-at exit. The Linux library also releases its interpreter guard twice at process end, the second time in freed
-memory,
-which sometimes aborts a finished host. An additional reference makes both releases harmless. cosim's FMUs take it
-in
+pythonfmu runs the slave's script at import and again at every instantiation. It then releases the module's dictionary
+without owning a reference: the dictionary is freed while in use, and the host crashes at a later garbage collection or
+at exit. The Linux library also releases its interpreter guard twice at process end, the second time in freed memory,
+which sometimes aborts a finished host. An additional reference makes both releases harmless. cosim's FMUs take it in
 any Python host; `cosim` takes it for any FMU.
 """
 

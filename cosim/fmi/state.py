@@ -8,7 +8,7 @@ command history, then the memory of further effects.
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -26,51 +26,50 @@ def own_of(data: bytes) -> Own:
 
     Foreign bytes raise ValueError, KeyError or TypeError.
     """
-    if data.startswith(JSON):
-        t, state, memory = json.loads(data)["own"]
-        return [float(t), [*state], [*memory]]
-    fixed, first, split, memories, history, _ = _parts_of_native(data)
-    return [fixed[SIZES + TIME], fixed[first:split], [history, *fixed[split : split + memories]]]
+    return _decode(data)[0]
 
 
 def with_memory(data: bytes, memory: Memory) -> bytes:
     """Return an FMU state with changed memory."""
-    if data.startswith(JSON):
-        state = json.loads(data)
-        for (part, place), value in memory.items():
-            state["own"][part][place] = value
-        return json.dumps(state).encode()
-    fixed, first, split, memories, history, texts = _parts_of_native(data)
+    own, encode = _decode(data)
     for (part, place), value in memory.items():
-        if (part, place) == (MEMORY, 0):
-            history = value
-        elif part == STATE and 0 <= place < split - first:
-            fixed[first + place] = value
-        elif part == MEMORY and place <= memories:
-            fixed[split + place - 1] = value
-        else:
+        if place >= len(own[part]):
             raise KeyError(f"index {place} is outside part {part} of a state")
-    rows = [number for since, command in history for number in (since, *command)]
-    return data[:GUID] + np.array([*fixed, len(history), *rows]).tobytes() + texts
+        own[part][place] = value
+    return encode()
 
 
-def _parts_of_native(data: bytes) -> tuple[list[float], int, int, int, list[Any], bytes]:
-    """Return the parts of a native FMU's state; raise ValueError for invalid bytes.
+def _decode(data: bytes) -> tuple[Own, Callable[[], bytes]]:
+    """Return the part of a state that determines the future, and a function that returns the state with changes of it.
 
-    Returns:
-        Numbers before the history, indices of the first state and of the first memory, number of memories, history of
-        commands, and texts.
+    Raises:
+        ValueError: The bytes are not the state of an FMU of cosim.
     """
+    own: Own
+    if data.startswith(JSON):
+        content = json.loads(data)
+        t, state, memory = content["own"]
+        own = content["own"] = [float(t), [*state], [*memory]]
+        return own, lambda: json.dumps(content).encode()
     count = max(0, len(data) - GUID) // 8
     numbers = np.frombuffer(data[GUID:], count=count).tolist()
     if count >= SIZES and all(0 <= n < 1e9 for n in numbers[:SIZES]):
-        inputs, variables, states, memories, own, texts = map(int, numbers[:SIZES])
+        inputs, variables, states, memories, owned, texts = map(int, numbers[:SIZES])
         first = SIZES + FLAGS + 2 * variables
-        end, split = first + own, first + states
+        end, split = first + owned, first + states
         rows = int(numbers[end]) if end < count else -1
         size = rows * (1 + inputs)
         if rows >= 0 and len(data) == GUID + 8 * (end + 1 + size) + texts:
             table = np.reshape(numbers[end + 1 : end + 1 + size], (rows, 1 + inputs)).tolist()
             history = [[t, u] for t, *u in table]
-            return numbers[:end], first, split, memories, history, data[len(data) - texts :]
+            own = [numbers[SIZES + TIME], numbers[first:split], [history, *numbers[split : split + memories]]]
+
+            def encode() -> bytes:
+                commands, *values = own[MEMORY]
+                numbers[first:split], numbers[split : split + memories] = own[STATE], values
+                flat = [number for since, command in commands for number in (since, *command)]
+                packed = np.array([*numbers[:end], len(commands), *flat]).tobytes()
+                return data[:GUID] + packed + data[len(data) - texts :]
+
+            return own, encode
     raise ValueError("not the state of an FMU built by cosim")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from typing import Annotated, Any
@@ -11,34 +10,24 @@ from pydantic import BeforeValidator, ValidationError, WithJsonSchema
 
 from cosim.core.errors import Fault, InputError
 from cosim.core.settings import reason_of
-from cosim.core.units import read_quantity, split_quantity
-from cosim.files.yaml_file import Part
+from cosim.core.units import split_quantity
+from cosim.files.yaml_file import Part, Positive, PositiveSeconds
 
 BYTES = {"": 1.0, "B": 1.0, "kB": 1e3, "MB": 1e6, "GB": 1e9, "KiB": 2.0**10, "MiB": 2.0**20, "GiB": 2.0**30}
-SCHEMA = WithJsonSchema({"type": ["number", "string"]})
 LOADING = 60.0  # default limit of loading [s] with other time limits
 
 
-def _above_zero(units: str, example: str, read_text: Callable[[str], float]) -> Any:
-    """Return a validator of numbers above 0, or texts of them with a unit."""
-
-    def read(value: Any) -> float:
-        with suppress(ValueError):
-            number = read_text(value) if isinstance(value, str) else value
-            if isinstance(number, (int, float)) and not isinstance(number, bool) and 0 < number < 1e300:
-                return float(number)
-        raise ValueError(f"it is a number above 0 with its unit ({units}), {example} for one")
-
-    return BeforeValidator(read)
+def _bytes(value: Any) -> Any:
+    """Return a number of bytes from text with a unit; pydantic checks other values."""
+    if not isinstance(value, str):
+        return value
+    number, unit = split_quantity(value) or (0.0, None)
+    if unit not in BYTES:
+        raise ValueError(f"give a number with a unit ({', '.join(filter(None, BYTES))}), for example 2 GB")
+    return number * BYTES[unit]
 
 
-def _bytes(text: str) -> float:
-    number, unit = split_quantity(text) or (0.0, "")
-    return number * BYTES.get(unit, 0.0)
-
-
-Seconds = Annotated[float, _above_zero("ms, s, min, h", "10 s", lambda text: read_quantity(text, "s")), SCHEMA]
-Bytes = Annotated[float, _above_zero(", ".join(filter(None, BYTES)), "2 GB", _bytes), SCHEMA]
+Bytes = Annotated[Positive, BeforeValidator(_bytes), WithJsonSchema({"type": ["number", "string"]})]
 
 
 class Limits(Part):
@@ -50,9 +39,9 @@ class Limits(Part):
     memory: largest size of the process and of all that it starts, without the rows of results [bytes]
     """
 
-    step: Seconds | None = None
-    total: Seconds | None = None
-    load: Seconds | None = None
+    step: PositiveSeconds | None = None
+    total: PositiveSeconds | None = None
+    load: PositiveSeconds | None = None
     memory: Bytes | None = None
 
     @property
@@ -64,9 +53,13 @@ class Limits(Part):
 
 def read_limits(text: str) -> Limits:
     """Return limits from text like `step: 10 s, memory: 2 GB`; raise InputError if invalid."""
-    pairs = (part.partition(":") for part in text.strip().strip("{}").split(",") if part.strip())
+    values: dict[str, str | float] = {}
+    for key, _, value in (part.partition(":") for part in text.strip().strip("{}").split(",") if part.strip()):
+        values[key.strip()] = value.strip()
+        with suppress(ValueError):
+            values[key.strip()] = float(value)
     try:
-        return Limits.model_validate({key.strip(): value.strip() for key, _, value in pairs})
+        return Limits.model_validate(values)
     except ValidationError as error:
         known = f"no such limit (known: {', '.join(Limits.model_fields)})"
         texts = {

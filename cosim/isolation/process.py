@@ -35,7 +35,6 @@ from cosim.isolation.worker import (
     STREAMS_LOST,
     BadStream,
     call_object,
-    free_object,
     make_object,
     receive,
     send,
@@ -312,7 +311,7 @@ class Remote:
     def free(self, method: str, *arguments: Any, watch: Watch | None = None) -> None:
         """Call the last method of a made object, and forget the object."""
         if self.is_made:
-            self.worker.call(free_object, self._number, method, arguments, watch=watch, doing=OTHER)
+            self.worker.call(call_object, self._number, method, arguments, {}, True, watch=watch, doing=OTHER)
         self._process = 0
 
 

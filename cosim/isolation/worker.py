@@ -50,14 +50,11 @@ def make_object(number: int, make: Callable[..., Any], arguments: Sequence[Any])
     _objects[number] = make(*arguments)
 
 
-def call_object(number: int, method: str, arguments: Sequence[Any], options: Mapping[str, Any]) -> Any:
-    """Call a method of an object of this process."""
-    return getattr(_objects[number], method)(*arguments, **options)
-
-
-def free_object(number: int, method: str, arguments: Sequence[Any]) -> None:
-    """Call a last method of an object and forget it."""
-    getattr(_objects.pop(number), method)(*arguments)
+def call_object(
+    number: int, method: str, arguments: Sequence[Any], options: Mapping[str, Any], is_last: bool = False
+) -> Any:
+    """Call a method of an object of this process; forget the object after its last call."""
+    return getattr(_objects.pop(number) if is_last else _objects[number], method)(*arguments, **options)
 
 
 def share_log(component: Any) -> None:

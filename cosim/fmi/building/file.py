@@ -13,7 +13,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, ValidatorFunctionWrapHandler, WrapValidator
+from pydantic import Field, ValidationError, ValidatorFunctionWrapHandler, WrapValidator
 
 from cosim.core.errors import Fault, InputError, NotExecuted, refuse
 from cosim.core.registry import BASE, is_model, model_entry, resolve
@@ -23,7 +23,7 @@ from cosim.core.text import did_you_mean
 from cosim.files.artefact import CODE, MODEL, kind_by_keys
 from cosim.files.files import write_text
 from cosim.files.kinds import check_form, refuse_other
-from cosim.files.yaml_file import UNIT_OF_KEY, YamlFile
+from cosim.files.yaml_file import UNIT_OF_KEY, Amount, Number, Part, Positive, YamlFile
 from cosim.fmi.building.declared import ModelText, make_model
 from cosim.fmi.building.refined import refined_file
 from cosim.model.model import Model
@@ -45,11 +45,10 @@ def _number_or_switch(value: Any, inner: ValidatorFunctionWrapHandler) -> Any:
         raise ValueError(cure) from None
 
 
-Number = Annotated[float, Field(allow_inf_nan=False)]
 Value = Annotated[Number | bool, WrapValidator(_number_or_switch), UNIT_OF_KEY]
 
 
-class Identified(BaseModel):
+class Identified(Part):
     """Accuracy of an identified parameter.
 
     ci95:   its 95 % confidence interval
@@ -57,14 +56,12 @@ class Identified(BaseModel):
     origin: the test that identified it
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
     ci95: tuple[float, float]
     unit: str = ""
     origin: str = ""
 
 
-class ModelFile(BaseModel):
+class ModelFile(Part):
     """Model name, parameters by FMI name, and sensor errors.
 
     schema_version:  version of the file format
@@ -77,16 +74,14 @@ class ModelFile(BaseModel):
     identified:      parameter → accuracy, as written by `cosim identify`
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
     schema_version: Literal[1] = 1
     model: str = BASE
     parameters_from: str = ""
-    parameters: dict[str, Value] = {}
-    sensors: dict[str, Annotated[Number, UNIT_OF_KEY]] = {}
-    substep: Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0)] | None = None
+    parameters: dict[str, Value] = Field(default_factory=dict)
+    sensors: dict[str, Amount] = Field(default_factory=dict)
+    substep: Positive | None = None
     integrator: Literal["rk4", "stiff"] | None = None
-    identified: dict[str, Identified] = {}
+    identified: dict[str, Identified] = Field(default_factory=dict)
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from cosim.core.errors import InputError
 from cosim.core.messages import Note
 from cosim.core.registry import is_model
-from cosim.core.text import amount, plain
+from cosim.core.text import amount
 from cosim.files.artefact import Checking
 from cosim.fmi.building.declared import ModelText
 from cosim.fmi.building.file import LoadedModel, load_model, only_model
@@ -58,10 +58,7 @@ class StateMode:
         return abs(self.eigenvalue)
 
     def __str__(self) -> str:
-        value = self.eigenvalue
-        pair = f" ± {plain(abs(value.imag))}i" if abs(value.imag) > 1e-9 * self.speed else ""
-        speed = f"time constant {_ms(1.0 / self.speed)}, eigenvalue {plain(value.real)}{pair} 1/s"
-        return f"{self.state} has a fast mode ({speed}, {self.place})"
+        return f"{self.state} has a fast mode (time constant {_ms(1.0 / self.speed)}, {self.place})"
 
 
 def with_substep(loaded: LoadedModel, logs: Sequence[RunLog] = ()) -> tuple[LoadedModel, list[str]]:
@@ -94,7 +91,7 @@ def with_substep(loaded: LoadedModel, logs: Sequence[RunLog] = ()) -> tuple[Load
     if model.integrator != STIFF and all(mode.speed * h <= MAX_DEFAULT for mode, h in modes):
         return loaded, []
     mode = max((mode for mode, _ in modes), key=lambda m: m.speed)
-    count = math.ceil(model.rate * mode.speed / MAX_CHOSEN) if math.isfinite(mode.speed) else math.inf
+    count = math.ceil(model.rate * mode.speed / MAX_CHOSEN)
     too_fast, integrator = model.integrator == AUTO and count > MOST_SUBSTEPS, model.chosen_integrator
     if model.integrator == STIFF or (too_fast and fastest.die_within_a_row()):
         substep, integrator = fastest.stiff_substep(), STIFF

@@ -58,7 +58,7 @@ class GeneratedCode:
         self.switches = switches
         self._parameters = list(trace.s.parameters)
         self._effects = [e.name for e in trace.effects]
-        places = trace.places({name: f"p[{k}]" for k, name in enumerate(self._parameters)})
+        places = trace.places({name: k for k, name in enumerate(self._parameters)})
         functions = (
             ("derivatives", "t x u p", trace.blocks, trace.derivative),
             ("outputs", "t x u p", trace.blocks, trace.outputs),
@@ -109,9 +109,10 @@ class Check:
             at = self.draw_point(awake, code, k)
             try:
                 python = [(quantity, hook, float(value)) for quantity, hook, value in self.evaluate(names, at)]
+                generated = code.values(at, names)
             except (ArithmeticError, ValueError, TypeError):  # The model has no real value at this point.
                 continue
-            for (quantity, hook, value), other in zip(python, code.values(at, names), strict=True):
+            for (quantity, hook, value), other in zip(python, generated, strict=True):
                 if math.isfinite(value) and not abs(value - other) <= TOLERANCE * max(1.0, abs(value)):
                     return quantity, hook, value, other
             count += 1

@@ -86,22 +86,16 @@ class CompilerFailed(RuntimeError):
 
 
 def compiler() -> list[str] | None:
-    """Return the C compiler's command, if any."""
-    return next(iter(compilers()), None)
+    """Return the C compiler's command, if any.
 
-
-def compilers() -> list[list[str]]:
-    """Return the C compilers' commands, the best first.
-
-    `CC` in the environment names a compiler; by default cc, gcc or clang is used. The extra `refine` installs another.
+    `CC` in the environment names a compiler; by default cc, gcc or clang is used, else that of the extra `refine`.
     """
     choice, machine = os.environ.get("CC"), this_platform()
-    every = [cross_command(machine)] if machine and can_cross() else []
     for name in ("cc", "gcc", "clang") if choice is None else (choice,):
         with suppress(ValueError):  # an open quote
             if (words := shlex.split(name)) and shutil.which(words[0]):
-                return [words, *every]
-    return every
+                return words
+    return cross_command(machine) if machine and can_cross() else None
 
 
 def can_cross() -> bool:
@@ -248,22 +242,16 @@ def load_library(source: str, *headers: Path) -> ctypes.CDLL:
 
     Raises:
         NoCompiler: No compiler exists.
-        CompilerFailed: All compilers fail.
+        CompilerFailed: The compiler fails.
     """
     files = {"model.c": source.encode(), **{path.name: path.read_bytes() for path in headers}}
-    failure: Exception | None = None
-    for command in compilers():
-        for _ in range(2):
-            try:
-                library = library_of(files, "model.c", [*command, *OPTIONS, *POSITION])
-            except CompilerFailed as error:
-                failure = failure or error
-                break
-            try:
-                return ctypes.CDLL(str(library))
-            except OSError as error:
-                failure = failure or error
-                library.unlink(missing_ok=True)
-    if failure is None:
-        raise NoCompiler("no C compiler was found in CC or on PATH")
-    raise CompilerFailed(str(failure)) from failure
+    command = [*required_compiler(), *OPTIONS, *POSITION]
+    library = library_of(files, "model.c", command)
+    try:
+        return ctypes.CDLL(str(library))
+    except OSError:
+        library.unlink(missing_ok=True)
+    try:
+        return ctypes.CDLL(str(library_of(files, "model.c", command)))
+    except OSError as error:
+        raise CompilerFailed(f"{command[0]} made a library that does not load: {error}") from error

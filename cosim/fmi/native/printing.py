@@ -146,7 +146,7 @@ class ModelPrinter:
 
         s, body, shaping, n = trace.s, trace.blocks, trace.shaping, len(trace.derivative)
         direction = {symbol: sympy.Symbol(f"slope:{symbol}", real=True) for symbol in (*s.state, *s.command)}
-        places = self._places(trace)
+        places = trace.places(self.place)
         places |= {d: f"d{places[symbol]}" for symbol, d in direction.items()}
         slope_blocks, slopes = tangent(body, [*trace.derivative, *trace.outputs], direction)
         shape_blocks, shape_slopes = tangent(shaping, trace.shaped, {u: direction[u] for u in s.command})
@@ -172,10 +172,6 @@ class ModelPrinter:
             raise UnprintableModel(str(error)) from error
         return texts
 
-    def _places(self, trace: Trace) -> dict[Any, str]:
-        """Return the place of each symbol in C; parameters are indexed by value reference."""
-        return trace.places({name: f"p[{self.place[name]}]" for name in trace.s.parameters})
-
     def _merge(self, variants: Sequence[Function]) -> str:
         """Return a C function that calls the variant for the values of the Boolean parameters."""
         name, arguments, text = variants[0]
@@ -200,7 +196,7 @@ class ModelPrinter:
             state, inputs = model.start_state(m), model.start_input()
         if any(t.s.model.start_state(m) != state or t.s.model.start_input() != inputs for t in self.variants):
             raise UnprintableModel("start values that a switch decides")
-        printer = LANGUAGE.printer(self._places(self.trace))
+        printer = LANGUAGE.printer(self.trace.places(self.place))
         starting = {q.name: inputs.get(q.name, q.start) for q in model.inputs}
         base = {q.name for q in model.base_states}
         starts = {

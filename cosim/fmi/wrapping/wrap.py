@@ -190,7 +190,6 @@ FOLDER = Path(__file__).resolve().parent
 ORIGINAL = "resources/original/"  # the whole original inside the wrapped FMU
 WRAPPER = "resources/wrapper/"  # the C code of the wrapper
 KEPT = ("documentation/", "terminalsAndIcons/", "extra/", "model.png")  # members that are also in their own place
-MOST_REFERENCE = 2**31 - 1  # some hosts take value references as signed
 FLAGS = {"SHAPES": "shape_all", "PORTS": "port_inputs", "RATES": "added_rates", "READS": "readings"}
 
 
@@ -219,13 +218,9 @@ def wrap(
     if about.fmiVersion[0] not in "23":
         raise CannotWrap(f"{original.name} is FMI {about.fmiVersion}; terms can be added to FMI 2.0 and 3.0")
     fmi = int(about.fmiVersion[0])
-    interfaces = _interfaces(original.name, about, terms, substep)
-    taken = sorted({int(v.valueReference) for v in about.modelVariables})
-    first, count = (taken[-1] if taken else -1) + 1, len(terms.parameters)
-    if first + count > MOST_REFERENCE:
-        gaps = zip([-1, *taken], taken, strict=False)
-        first = next(low + 1 for low, high in gaps if high - low > count)
-    config = _config(original.name, about, terms, values, interfaces, first=first, substep=substep or 0.0)
+    interfaces = _interfaces(original.name, about, terms)
+    first = max((int(v.valueReference) for v in about.modelVariables), default=-1) + 1
+    config = _config(about, terms, values, interfaces, first=first, substep=substep or 0.0)
     root = describe_wrapped(description_of(original), original.name, interfaces, terms, values, first)
     headers = {p.name: p.read_text(encoding="utf-8") for p in sorted(fmi_headers().glob(f"fmi{fmi}*.h"))}
     types = headers[f"fmi{fmi}FunctionTypes.h"]
@@ -260,39 +255,30 @@ def wrap(
     return left_out
 
 
-def _interfaces(file: str, about: Any, terms: TermCode, substep: float | None) -> dict[str, str]:
+def _interfaces(file: str, about: Any, terms: TermCode) -> dict[str, str]:
     """Return interface → modelIdentifier of all interfaces in which the terms act.
 
     Raise CannotWrap if there is none.
     """
-    exchange, steps = about.modelExchange, about.coSimulation
-    variables, names = {v.name for v in about.modelVariables}, [p.name for p in terms.parameters]
-    if taken := [name for name in names if name in variables]:
+    exchange, steps, names = about.modelExchange, about.coSimulation, {v.name for v in about.modelVariables}
+    if taken := [p.name for p in terms.parameters if p.name in names]:
         raise CannotWrap(f'{file} already has a variable "{taken[0]}"; give the parameter of the term another name')
-    if terms.delay and terms.delay not in names:
-        raise CannotWrap(f'the delay "{terms.delay}" is not a parameter of the terms')
-    if substep is not None and not substep > 0:
-        raise CannotWrap(f"the substep is {substep:g} s; give a positive number")
     if terms.directions and exchange.canBeInstantiatedOnlyOncePerProcess:
         raise CannotWrap(f"the terms need a second instance of {file}, which allows only one instance per process")
-    states, found = [*scalars(states_of(about))], {}
-    reads_states = "port_inputs" in terms.hooks or "added_rates" in terms.hooks
-    if exchange is not None and (not reads_states or [*terms.states] == states):
+    found, reads_states = {}, "port_inputs" in terms.hooks or "added_rates" in terms.hooks
+    if exchange is not None and (not reads_states or [*terms.states] == [*scalars(states_of(about))]):
         found["ModelExchange"] = str(exchange.modelIdentifier)
     if steps is not None and "added_rates" not in terms.hooks:
         found["CoSimulation"] = str(steps.modelIdentifier)
-    if not found and exchange is not None:
-        fault = f"the terms are for the states {', '.join(terms.states)}, but {file} has {', '.join(states)}"
-        raise CannotWrap(f"{fault}; generate the terms for this FMU")
     if not found:
-        raise CannotWrap(f"the terms act on derivatives, but {file} has no model exchange")
-    if "ModelExchange" in found and terms.memory and substep is None:
-        raise CannotWrap("terms with memory need a substep in model exchange; give a substep [s]")
+        states = ", ".join(terms.states)
+        raise CannotWrap(
+            f"the terms act on derivatives of {states}, but {file} has no model exchange with these states"
+        )
     return found
 
 
 def _config(
-    file: str,
     about: Any,
     terms: TermCode,
     values: Mapping[str, float],
@@ -305,11 +291,6 @@ def _config(
     variables, parameters = {v.name: v for v in about.modelVariables}, terms.parameters
 
     def references(names: Iterable[str]) -> list[int]:
-        for name in names:
-            if name not in variables:
-                raise CannotWrap(f'{file} has no variable "{name}"')
-            if variables[name].type not in REALS or variables[name].shape:
-                raise CannotWrap(f"{name} of {file} is not a real scalar; terms act on real scalars")
         return [int(variables[name].valueReference) for name in names]
 
     names, dampings = [p.name for p in parameters], [d.parameter for d in terms.directions]

@@ -57,10 +57,9 @@ class Body:
         s = symbolic(model, None, effects)
         with number_guard(smooth=True):
             derivative, output = s.model.acting(SymbolNamespace())
-            rates, outputs = s.evaluate(derivative), s.evaluate(output)
-        names = ([q.name for q in group] for group in (s.model.states, s.model.outputs))
-        of_states, of_outputs = (dict(zip(n, e, strict=True)) for n, e in zip(names, (rates, outputs), strict=True))
-        return cls(s, of_states, of_outputs, dict(s.parameters))
+            rates = {q.name: e for q, e in zip(s.model.states, s.evaluate(derivative), strict=True)}
+            outputs = {q.name: e for q, e in zip(s.model.outputs, s.evaluate(output), strict=True)}
+        return cls(s, rates, outputs, dict(s.parameters))
 
     def parameter(self, name: str) -> Any:
         """Add a parameter and return its symbol."""

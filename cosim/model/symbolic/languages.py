@@ -204,35 +204,38 @@ def _find_skippable(lines: Sequence[tuple[Any, Any]], terms: Sequence[Term]) -> 
     """
     import sympy
 
-    functions: list[dict[Any, tuple[Any, Any]]] = []  # per line: function → symbol in its place, changed expression
-    for _, e in lines if terms else ():
+    def is_clear(e: Any, symbol: Any) -> bool:
+        """Return True if the effect of 0 in place of a symbol is clear."""
+        return isinstance(e, sympy.Expr) and bool(e.is_polynomial(symbol))
+
+    if not terms:
+        return {}
+    # symbols and functions that are always needed; per line: costly function → symbol in its place, changed expression
+    always: set[Any] = {None}
+    functions: list[dict[Any, tuple[Any, Any]]] = []
+    for _, e in lines:
+        always |= {s for s in e.free_symbols if not is_clear(e, s)}
         functions.append({})
         for f in e.atoms(sympy.Function, sympy.Pow):  # those much slower than a branch
             if type(f).__name__ in COSTLY or getattr(f, "is_costly", False) or (f.is_Pow and f.exp not in CHEAP):
                 place = sympy.Dummy(real=True)
                 functions[-1][f] = place, e.xreplace({f: place})
-
-    @cache
-    def is_clear(e: Any, symbol: Any) -> bool:
-        """Return True if the effect of 0 in place of a symbol is clear."""
-        return isinstance(e, sympy.Expr) and bool(e.is_polynomial(symbol))
+                always |= {f} if not is_clear(functions[-1][f][1], place) else set()
 
     @cache
     def needed(dormant: frozenset[int]) -> set[Any]:
-        """Return the functions on which results depend while some terms are dormant."""
+        """Return the symbols and functions on which results depend while some terms are dormant."""
         known = {p: sympy.sympify(v) for k in dormant for p, v in terms[k].items()}
         values = []
         for name, e in lines:
             values.append(e.xreplace(known))
             if name is not None and values[-1].is_Number:
                 known[name] = values[-1]
-        symbols, found = {None}, set[Any]()
-        for (name, e), value, parts in reversed([*zip(lines, values, functions, strict=True)]):
-            if name in symbols:
-                symbols |= value.free_symbols | {s for s in e.free_symbols if not is_clear(e, s)}
-                for f, (place, changed) in parts.items():
-                    if not is_clear(changed, place) or place in changed.xreplace(known).free_symbols:
-                        found.add(f)
+        found = set(always)
+        for (name, _), value, parts in reversed([*zip(lines, values, functions, strict=True)]):
+            if name in found:
+                found |= value.free_symbols
+                found |= {f for f, (place, e) in parts.items() if place in e.xreplace(known).free_symbols}
         return found
 
     skippable: dict[Any, Term] = {}

@@ -154,32 +154,33 @@ def symbolic(
     return SymbolicModel(awake, sympy.Symbol("time", real=True), symbols, state, command)
 
 
-def direct_dependencies(model: Model) -> dict[str, tuple[str, ...]]:
-    """Return the inputs with direct feedthrough to each output, in input order."""
-    s = symbolic(model)
-    outputs = s.evaluate(s.model.acting(SymbolNamespace()).output)
-    return {
-        q.name: tuple(i.name for i, u in zip(model.inputs, s.command, strict=True) if u in e.free_symbols)
-        for q, e in zip(model.outputs, outputs, strict=True)
-    }
+def output_dependencies(model: Model) -> tuple[dict[str, tuple[str, ...]], dict[str, tuple[str, ...]]]:
+    """Return the dependencies of each output for any effects and Booleans.
 
-
-def initial_dependencies(model: Model) -> dict[str, tuple[str, ...]]:
-    """Return the parameters, start values and inputs that affect each initial output."""
+    Returns:
+        Inputs with direct feedthrough, in input order; parameters, start values and inputs that affect the initial
+        value.
+    """
     flags, m = [p.name for p in model.parameters if isinstance(p.default, bool)], SymbolNamespace()
     variants = [symbolic(model, flag) for flag in (True, False)]
     outputs = [s.evaluate(s.model.acting(m).output) for s in variants]
-    dependencies = [set(flags) if a != b else set[str]() for a, b in zip(*outputs, strict=True)]
+    initial = [set(flags) if a != b else set[str]() for a, b in zip(*outputs, strict=True)]
+    direct = [set[str]() for _ in initial]
     for s, expressions in zip(variants, outputs, strict=True):
-        names = {symbol: {name} for name, symbol in s.parameters.items()}
-        names |= {symbol: {q.name} for symbol, q in zip(s.command, s.model.inputs, strict=True)}
+        inputs = dict(zip(s.command, (q.name for q in model.inputs), strict=True))
+        names = {symbol: {name} for name, symbol in s.parameters.items()} | {u: {name} for u, name in inputs.items()}
         starts = s.model.start_state(m)  # by default, start values may depend on parameters
         for q, symbol in zip(s.model.states, s.state, strict=True):
             (start,) = sympified([starts.get(q.name, q.start)])
             names[symbol] = {f"{q.name}_start"}.union(*(names[other] for other in start.free_symbols))
-        for own, expression in zip(dependencies, expressions, strict=True):
-            own.update(*(names[symbol] for symbol in expression.free_symbols - {s.time}))
-    return {q.name: tuple(sorted(own)) for q, own in zip(model.outputs, dependencies, strict=True)}
+        for of_start, at_once, expression in zip(initial, direct, expressions, strict=True):
+            of_start.update(*(names[symbol] for symbol in expression.free_symbols - {s.time}))
+            at_once.update(inputs[u] for u in expression.free_symbols & inputs.keys())
+    ordered = (tuple(q.name for q in model.inputs if q.name in at_once) for at_once in direct)
+    return (
+        dict(zip((q.name for q in model.outputs), ordered, strict=True)),
+        {q.name: tuple(sorted(of_start)) for q, of_start in zip(model.outputs, initial, strict=True)},
+    )
 
 
 @contextmanager

@@ -97,9 +97,9 @@ class Trace:
                 self.remembered += stage.remembered
                 self.shaped = list(stage.command)
 
-    def places(self, parameters: Mapping[str, str]) -> dict[Any, str]:
-        """Return the place of each symbol in the arguments of printed functions, with places of parameters by name."""
-        named = {symbol: parameters[name] for name, symbol in self.s.parameters.items()}
+    def places(self, indices: Mapping[str, int]) -> dict[Any, str]:
+        """Return the place of each symbol in the arguments of printed functions, with the parameters' indices in p."""
+        named = {symbol: f"p[{indices[name]}]" for name, symbol in self.s.parameters.items()}
         return {self.step: "h", **self.s.places(named, self.memory)}
 
     def _name(self, expression: Any) -> Any:
