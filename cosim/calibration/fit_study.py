@@ -26,7 +26,7 @@ from cosim.fmi.description import read_description, unit_of
 from cosim.isolation.limits import Limits, read_limits
 from cosim.logs.channel_noise import NORMAL_95
 from cosim.logs.log import Log, read_column_names
-from cosim.probing.log_runs import limits_of
+from cosim.probing.prober import limits_of
 from cosim.refinement.study import FileName, LogLists
 from cosim.residuals.drive import check_files, log_of_fmu, start_values
 from cosim.scenario.start_values import convert_value, kind_of, settable

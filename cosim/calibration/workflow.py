@@ -37,7 +37,7 @@ from cosim.fmi.wrapping.wrap import CannotWrap, parsed, set_starts, wrap, xml_of
 from cosim.isolation.process import Worker
 from cosim.logs.gate import gate, gate_faults
 from cosim.logs.log import Log
-from cosim.probing.own_step import probe_own_step
+from cosim.probing.places import probe_own_step
 from cosim.probing.prober import LIMITS
 from cosim.residuals.drive import MODULES, Drive, DriveApart
 from cosim.residuals.residual_statistics import FREE_RUN
@@ -252,7 +252,7 @@ def _refuse_own_step(request: Request, given: FitInput) -> None:
         own = probe_own_step(request.fmu, [log], numbers, limits=request.limits if request.limits.step else LIMITS)
     except (FmuError, SimulationError):
         return  # the first simulation will report it
-    if own and own.distorts:
+    if own:
         message = (
             f"its co-simulation has an internal step of about {own.length:.3g} s, above the step of "
             f"{log.step:.3g} s of the "

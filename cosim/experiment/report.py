@@ -13,7 +13,7 @@ import numpy as np
 from cosim.core.text import counted, displayed, join_names, plain, shown_unit
 from cosim.core.version import __version__
 from cosim.experiment.excite import MAX_RIVALS, Excitation
-from cosim.experiment.separation import MIN_SEPARATION
+from cosim.experiment.question import MIN_SEPARATION
 from cosim.report.charts import Charts
 from cosim.report.html_tables import Badge
 from cosim.report.panels import Panel, Trace, held_panels
