@@ -32,11 +32,9 @@ from cosim.core.arrays import Array
 from cosim.core.errors import Fault, InputError, refuse
 from cosim.core.settings import Count, Seed
 from cosim.core.text import counted, percent, plain
-from cosim.core.version import __version__
 from cosim.model import Moment, Stepper
 from cosim.model.namespaces import arrays
 from cosim.report.charts import Charts, Plot
-from cosim.report.html_tables import Badge
 from cosim.report.panels import Band, Panel, Trace
 from cosim.report.template import render
 from plant.hovercraft import Hovercraft
@@ -97,25 +95,6 @@ class Consistency(NamedTuple):
         """Return the mean squared error divided by the variance that the estimator claims."""
         return self.mean / self.degrees
 
-    @property
-    def sentence(self) -> str:
-        """Return the verdict in words with its numbers."""
-        low, high = self.region
-        verdict = self.verdict
-        if verdict == CONSISTENT:
-            return verdict
-        parts = []
-        if not low <= self.mean <= high:
-            times, relation = (self.factor, "larger") if self.mean > high else (1.0 / self.factor, "smaller")
-            parts.append(f"mean square errors are {times:.3g} times {relation} than the claimed variance")
-        chance = f"of the times ({100 * SIDE:.3g} % expected by chance, at most {100 * self.most:.2g} %)"
-        if verdict == BOTH:
-            above, below = 100 * self.above, 100 * self.below
-            parts.append(f"{OPTIMISTIC} at {above:.3g} % and {PESSIMISTIC} at {below:.3g} % {chance}")
-        elif not parts:
-            parts.append(f"at {100 * max(self.above, self.below):.3g} % {chance}")
-        return f"{verdict}: {'; '.join(parts)}"
-
 
 def consistency_of(squares: Array, degrees: int, *, white: bool = False) -> Consistency:
     """Return the consistency of normalised squared errors or innovations.
@@ -126,15 +105,13 @@ def consistency_of(squares: Array, degrees: int, *, white: bool = False) -> Cons
         white: True for squares without correlation within a run, such as innovations.
 
     Raises:
-        ValueError: A square is not finite, or fewer than two runs exist.
+        ValueError: A square is not finite.
     """
     from scipy.stats import beta, chi2, t
 
-    if not np.isfinite(squares).all() or squares.size == 0:
-        raise ValueError("normalised squares must be finite, and there must be at least one")
+    if not np.isfinite(squares).all():
+        raise ValueError("normalised squares must be finite")
     runs, count = squares.shape
-    if runs < 2:
-        raise ValueError("the scatter between runs needs at least two runs")
 
     def range_of_mean(number: int, tail: float) -> tuple[float, float]:
         low, high = chi2.ppf([tail, 1.0 - tail], number * degrees) / number
@@ -211,7 +188,7 @@ class ConsistencyRow(NamedTuple):
             "mean": plain(r.mean, 4),
             "region": f"{plain(r.region[0], 4)} … {plain(r.region[1], 4)}",
             **{name: percent(getattr(r, name)) for name in ("above", "below", "most")},
-            "sentence": r.sentence,
+            "verdict": r.verdict,
         }
 
 
@@ -235,11 +212,11 @@ def headline(rows: Sequence[ConsistencyRow]) -> str:
     right = sum(common_verdict(case) == CONSISTENT for case in cases)
     largest = max(cases, key=lambda case: case[0].result.factor)
     first, factor = largest[0], largest[0].result.factor
-    opening = f"{right} of {len(cases)} cases are consistent: errors match the variance that the estimator claims."
-    if factor <= 1.0 or common_verdict(largest) == CONSISTENT:
-        return opening
-    told = f"{first.case}, {first.flight}: mean square error {factor:.3g} times the claimed variance."
-    return f"{opening} Largest errors: {told}"
+    text = f"{right} of {len(cases)} cases are consistent: errors match the variance that the estimator claims."
+    if factor > 1.0 and common_verdict(largest) != CONSISTENT:
+        worst = f"{first.case}, {first.flight}: mean square error {factor:.3g} times the claimed variance."
+        text += f" Largest errors: {worst}"
+    return text
 
 
 def consistency(
@@ -257,18 +234,12 @@ def consistency(
         One row per case and kind of squares (NEES, NIS) with mean, region and verdict.
 
     Raises:
-        InputError: Too few or too many runs or steps, or too little memory.
+        InputError: Too few or too many runs or steps.
     """
-    bounds = (("runs", runs, MIN_RUNS), ("steps", steps, MIN_STEPS), ("seed", seed, 0))
-    refuse(Fault(Path(name), 0, 0, f"is {v}; use at least {least}") for name, v, least in bounds if v < least)
-    check_size(runs, steps)
+    check_size(runs, steps, seed)
     rows = []
     for k, case in enumerate(CASES):
-        try:
-            squares = squares_of(case, runs, steps, np.random.default_rng([seed, k]))
-        except MemoryError:
-            message = f"not enough memory for {runs:,} runs of {steps:,} steps; use fewer"
-            raise InputError.at(Path("--runs"), message, exit_code=4) from None
+        squares = squares_of(case, runs, steps, np.random.default_rng([seed, k]))
         for name, (values, degrees, at) in squares.items():
             result, flight = consistency_of(values, degrees, white=name != "NEES"), case.flight
             rows.append(ConsistencyRow(case.title, flight.name, flight.doc, name, result, at))
@@ -277,19 +248,13 @@ def consistency(
     return rows
 
 
-def check_size(runs: int, steps: int) -> None:
-    """Check that the samples fit into memory.
-
-    Raises:
-        InputError: The samples are too many.
-    """
-    if runs * steps <= MAX_SAMPLES:
-        return
-    option, most = "--runs", f"at most {MAX_SAMPLES // steps:,} with {steps:,} steps"
-    if MIN_RUNS * steps > MAX_SAMPLES:
-        option, most = "--steps", f"{MAX_SAMPLES // MIN_RUNS:,} at most"
-    message = f"{runs:,} runs of {steps:,} steps are more than the {MAX_SAMPLES:,} samples that fit into memory"
-    raise InputError.at(Path(option), f"{message}; give {most}")
+def check_size(runs: int, steps: int, seed: int) -> None:
+    """Raise InputError for too few runs or steps, or for more samples than fit into memory."""
+    bounds = (("runs", runs, MIN_RUNS), ("steps", steps, MIN_STEPS), ("seed", seed, 0))
+    refuse(Fault(Path(name), 0, 0, f"is {v}; use at least {least}") for name, v, least in bounds if v < least)
+    if runs * steps > MAX_SAMPLES:
+        text = f"{runs:,} runs of {steps:,} steps exceed the {MAX_SAMPLES:,} samples that fit into memory; use fewer"
+        raise InputError.at(Path("--runs"), text)
 
 
 # -- simulated runs -------------------------------------------------------------------------------
@@ -466,25 +431,19 @@ def page(rows: Sequence[ConsistencyRow], steps: int, seed: int) -> str:
         verdict, first = common_verdict(case), case[0]
         cell = {"verdict": verdict, "good": verdict == CONSISTENT, "factor": plain(first.result.factor, 3)}
         judged.setdefault(first.case, dict.fromkeys(flights))[first.flight] = cell
-    cells = [
-        {**row.as_text(), "verdict": verdict, "more": more, "good": verdict == CONSISTENT}
-        for row in rows
-        for verdict, _, more in [row.result.sentence.partition(": ")]
-    ]
     return render(
         TEMPLATE,
         {
-            "badges": [Badge(f"{counted(runs, 'run')} of {counted(steps, 'sample')} each"), Badge(f"seed {seed}")],
+            "badges": [f"{counted(runs, 'run')} of {counted(steps, 'sample')} each", f"seed {seed}"],
             "headline": headline(rows),
             "tone": "good" if all(common_verdict(case) == CONSISTENT for case in cases) else "bad",
             "flights": list(flights.items()),
             "judged": [{"case": name, "flights": list(of.values())} for name, of in judged.items()],
-            "rows": cells,
+            "rows": [{**row.as_text(), "good": row.result.verdict == CONSISTENT} for row in rows],
             "cases": [(f"{case[0].case}; {case[0].flight}", [_plot(row, charts) for row in case]) for case in cases],
-            "data": charts.data(),  # after all drawings
             "repeat": f"cosim consistency --runs {runs} --steps {steps} --seed {seed}",
-            "version": __version__,
         },
+        charts,
     )
 
 

@@ -36,7 +36,7 @@ def command(
     from controller.consistency import CONSISTENT, check_size, headline, page
     from controller.consistency import consistency as over_runs
 
-    check_size(runs, steps)
+    check_size(runs, steps, seed)
     with new_run(out, "consistency", VERB, force=force) as out, progress_bar("estimating") as progress:
         rows = over_runs(runs, steps, seed, progress)
         remove_earlier(out)

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping
-from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Annotated, Any, Literal, get_args
 
 import numpy as np
@@ -20,8 +19,6 @@ from controller.settings import (
     PredictiveSettings,
     Settings,
     TimeVariantSettings,
-    conflicts,
-    craft_faults,
 )
 from controller.synthesis import (
     POLES,
@@ -156,47 +153,34 @@ def controller_starts(
         craft: Source of the numbers of the design model; None takes those of the controller's own parameters.
     """
     kind, options, predicts = SETTINGS[name], file.model_dump(), name in (PREDICTIVE, TIME_VARIANT)
-    placed = dict[str, tuple[Place, float]]()  # start value → place and number of an option used unchanged
-    for place, start in (UNCHANGED | OF_PREDICTION if predicts else UNCHANGED).items():
-        value = options[str(place[0])]
-        if value is not None:
-            placed[start] = place, value[place[1]] if place[1:] else value
-    declared, values = {p.name: p for p in parameters_of(kind)}, dict[str, Any]()
+    places = dict[str, Place]()  # start value → option that is used unchanged
+    declared, values = {p.name: p.default for p in parameters_of(kind)}, dict[str, Any]()
     if craft is not None:
         values = {n: getattr(craft, n) for n in OF_CRAFT} if name == TIME_VARIANT else {}
         values |= {n: value for n, value in numbers_of(craft).items() if n in declared}
-    values |= {n: float(value) for n, (_, value) in placed.items()}
+    for place, start in (UNCHANGED | OF_PREDICTION if predicts else UNCHANGED).items():
+        if (value := options[str(place[0])]) is not None:
+            places[start], values[start] = place, float(value[place[1]] if place[1:] else value)
     if name != TIME_VARIANT and options["estimator"] is not None:
         values["estimator"] = options["estimator"]
-    objections: Objections = [
-        (place, reason) for n, (place, value) in placed.items() if (reason := declared[n].fault(value))
-    ]
+    settings = object.__new__(kind)  # not valid yet
+    vars(settings).update(declared | values)
+    faults = dict[Place, str]()  # one at each place
+    for reason in settings.invalid_values():
+        place = next((places[word] for word in re.findall(r"\w+", reason) if word in places), ())
+        faults.setdefault(place, reason)
     if name == PLACED:
-        poles = [complex(pole) for pole in options["poles"]]
-        objections += [(("poles", k), message) for k, message in pole_faults(poles)]
+        faults |= {("poles", k): text for k, text in pole_faults([*map(complex, options["poles"])])}
     if predicts and options["R"][0] != options["R"][1]:
         reason = f"{options['R']} has different weights for the tilts; the predictive law has one weight for both"
-        objections.append((("R",), f"{reason}: give the same number twice"))
-    if objections:
-        return values, objections, []
-    if predicts:
-        settings = SimpleNamespace(**{p.name: p.default for p in parameters_of(kind)} | values)
-        reasons = conflicts(settings) + (craft_faults(settings) if name == TIME_VARIANT else [])
-        for names, reason in reasons:
-            place = next((placed[n][0] for n in names if n in placed), ())
-            objections.append((place, f"the settings contradict each other: {reason}"))
-        if not objections:
-            try:
-                replace(kind(), **values)
-            except ValueError as error:  # a number of the craft is outside its bounds
-                objections = [((), str(error))]
-        return values, objections, []
+        faults["R",] = f"{reason}: give the same number twice"
+    if faults or predicts:
+        return values, [*faults.items()], []
     try:
-        p = replace(Settings(), **values)
         if name == PLACED:
-            K = placed_gain(p, [complex(pole) for pole in options["poles"]])
+            K = placed_gain(settings, [*map(complex, options["poles"])])
         else:
-            K = lqr_gain(p, options["Q"], options["R"], options["Q_integral"] if name == INTEGRAL else ())
+            K = lqr_gain(settings, options["Q"], options["R"], options["Q_integral"] if name == INTEGRAL else ())
     except ValueError as error:
         return values, [(_place_of("forward", options, name)[:1], str(error))], []
     values |= {f"k_{i + 1}_{j + 1}": float(gain) for (i, j), gain in np.ndenumerate(K)}
@@ -225,19 +209,11 @@ def _judged(
     for mode in worst_modes(modes):
         place, pole = _place_of(mode.axis, options, name), mode.pole
         shown = f"{pole.real:.3g}±{abs(pole.imag):.3g}j" if pole.imag else f"{pole.real:.3g}"
-        loop = (
-            f"with the lag of {p.lag:g} s, a sample of {p.sample_time:g} s and the estimator {p.estimator} the "
-            f"{mode.axis} axis has a pole at {shown} rad/s"
-        )
+        loop = f"with a lag of {p.lag:g} s and {p.estimator}, the sampled {mode.axis} axis has a pole at {shown} rad/s"
         if mode.grows:
-            objections.append((place, f"is unstable in the sampled loop, {loop}; {cure}"))
+            objections.append((place, f"is unstable: {loop}; {cure}"))
         else:
-            kept = 100 * math.exp(-2 * math.pi * mode.damping / math.sqrt(1 - mode.damping**2))
-            damped = (
-                f"with the small damping ratio {mode.damping:.2g}: {kept:.0f} % of an oscillation remain "
-                "after one period"
-            )
-            warnings.append((place, f"{loop}, {damped}; {cure}"))
+            warnings.append((place, f"{loop} with the small damping ratio {mode.damping:.2g}; {cure}"))
     return objections, warnings
 
 

@@ -13,17 +13,19 @@ class LawInput(NamedTuple):
     """Input of a control law at a sample, besides the estimate (x, vx, ψ, ψ̇, a).
 
     Attributes:
+        x_meas, y_meas: Position of the latest fix [m].
+        fix: Number of the latest fix, 0 before the first; a new number makes its position valid.
+        psi: Measured heading [rad].
         started: False at the start, before the first measurement.
-        fix: Number of the latest fix, 0 before the first; its position is x_meas, y_meas [m].
     """
 
     x_ref: float
     psi_ref: float
-    y_ref: float = 0.0
-    psi: float = 0.0
     x_meas: float = 0.0
     y_meas: float = 0.0
     fix: float = 0.0
+    y_ref: float = 0.0
+    psi: float = 0.0
     started: bool = False
 
 
@@ -50,8 +52,8 @@ class Law(Stateful):
         """Return further outputs besides the commands."""
         return []
 
-    def words(self, start: float) -> str:
-        """Return remarks on a run that began at `start` [s]; "" if there are none."""
+    def words(self) -> str:
+        """Return remarks on the run; "" if there are none."""
         return ""
 
 
@@ -122,44 +124,24 @@ class Loop(Stateful):
     observable, so the filter needs its start value.
     """
 
-    def __init__(
-        self,
-        settings: Settings,
-        x_hat: Numbers,
-        x_ref: float,
-        psi_ref: float,
-        fix: float = 0.0,
-        *,
-        y_ref: float = 0.0,
-        law: Law | None = None,
-    ) -> None:
-        self.settings = settings
+    def __init__(self, settings: Settings, x_hat: Numbers, *seen: float, law: Law | None = None) -> None:
+        self.settings, start = settings, LawInput(*seen)
         self.law = StateFeedback(settings) if law is None else law
-        self.estimator = self.law.estimator(settings, x_hat, fix)
-        self.command = self.law.command(self.estimate, LawInput(x_ref, psi_ref, y_ref, fix=fix))
+        self.estimator = self.law.estimator(settings, x_hat, start.fix)
+        self.command = self.law.command(self.estimate, start)
         parts = {"estimator": self.estimator, "law": self.law}
         self.memory = ("command", *(f"{part}.{name}" for part in parts for name in parts[part].memory))
 
-    def step(
-        self,
-        measured: Numbers,
-        x_ref: float,
-        psi_ref: float,
-        fix: float = 0.0,
-        x_meas: float = 0.0,
-        *,
-        y_meas: float = 0.0,
-        y_ref: float = 0.0,
-    ) -> Floats:
+    def step(self, measured: Numbers, *seen: float) -> Floats:
         """Return the tilt commands [rad] of one sample.
 
         Args:
             measured: (ψ, ψ̇, a_x).
-            fix: Number of the latest fix, 0 before the first; a new number makes x_meas and y_meas [m] valid.
+            seen: First fields of `LawInput`, x_ref and psi_ref at least.
         """
-        self.estimator.step(measured, (*self.law.duties, *self.command), fix, (x_meas, y_meas))
-        seen = LawInput(x_ref, psi_ref, y_ref, measured[0], x_meas, y_meas, fix, started=True)
-        self.command = self.law.command(self.estimate, seen)
+        now = LawInput(*seen, psi=measured[0], started=True)
+        self.estimator.step(measured, (*self.law.duties, *self.command), now.fix, (now.x_meas, now.y_meas))
+        self.command = self.law.command(self.estimate, now)
         return self.command
 
     @property

@@ -16,14 +16,14 @@ from scipy.linalg import solve_discrete_are
 from controller.design_model import PLANT_INPUTS, Matrix, discretize, full_model
 from controller.loop import Law, LawInput
 from controller.observers import NAMES, PREDICTED, Estimator, ExtendedFilter, HoverFilter, Slopes, level_tilt
-from controller.settings import PLANT_STATES, Floats, Numbers, PredictionSettings, craft_of
+from controller.settings import PLANT_STATES, Floats, Numbers, craft_of
 from cosim.model.namespaces import arrays
 
 COMMANDS = len(PLANT_INPUTS)
 BLOCKS = (1, 2, 4, 8, 12, 18, 25, 30)  # steps with a constant command; the last block extends to the horizon
 VX = NAMES.index("vx")
 POSITIONS = [NAMES.index(name) for name in ("x", "y", "psi")]
-SOLVED, AT_LIMIT = (1, 2), -4  # flags of DAQP: optimal, also with an exceeded soft limit; too many iterations
+SOLVED = (1, 2)  # flags of DAQP: optimal, also with an exceeded soft limit
 HARD, SOFT = 0, 8  # kinds of limits in DAQP
 ZERO_MULTIPLIER = 1e-9  # multipliers below are zero
 SERIES_LIMIT = 0.25  # multipliers below this value are zero
@@ -73,7 +73,7 @@ class PredictiveLaw(Law):
         filter: Estimator of the predicted states.
         last: Deviation of the last command from rest.
         hot: Multipliers; their signs mark the active limits for the next sample.
-        given_up: Failures of the solver: number, first sample, its flag.
+        given_up: Failures of the solver.
         cost: Cost of a horizon that starts with an open deviation, without Jacobians.
     """
 
@@ -83,26 +83,6 @@ class PredictiveLaw(Law):
 
     def __init__(self, p: Any, printed: Mapping[str, Any] | None = None, y_hat: float = 0.0) -> None:
         self.p, self.printed, self.y_hat, self.hover = p, printed, y_hat, np.zeros(len(NAMES))
-        self._limit(p)
-        self.path, self.plan = np.zeros((0, len(NAMES))), np.zeros((0, COMMANDS))  # no plan yet
-        if printed is None:
-            A, B = full_model(p)
-            F, G = discretize(A[np.ix_(PREDICTED, PREDICTED)], B[PREDICTED], p.prediction_step)
-            self.P, n = solve_discrete_are(F, G, self.Q, self.R), len(self.of_step)
-            self.cost = self.condensed(np.tile(F, (n, 1, 1)), np.tile(G, (n, 1, 1)), 0.0, np.eye(len(NAMES)))
-            return
-        self.craft = craft_of(p)
-        self.slopes, self.rates = Slopes(self.craft, printed), self.craft.acting(arrays()).derivative
-        hover = np.array([self.craft.start()])
-        self.hover = hover[0, PREDICTED]
-        A, B = self._linear(hover, self.rest[None])
-        fastest = p.prediction_step * float(np.abs(np.linalg.eigvals(A[0])).max())
-        self.doublings = max(0, math.ceil(math.log2(max(fastest, SERIES_LIMIT) / SERIES_LIMIT)))
-        F, held = self._zero_order_hold(A)
-        self.P = solve_discrete_are(F[0], (held @ B)[0], self.Q, self.R)
-
-    def _limit(self, p: PredictionSettings) -> None:
-        """Set limits, weights and blocks of the horizon."""
         self.rest = np.array([p.duty_nominal, p.duty_nominal, 0.0, 0.0])
         self.low = np.array([p.duty_min, p.duty_min, -p.tilt_max, -p.tilt_max]) - self.rest
         self.high = np.array([p.duty_max, p.duty_max, p.tilt_max, p.tilt_max]) - self.rest
@@ -121,7 +101,23 @@ class PredictiveLaw(Law):
         self.Q = p.prediction_step * np.diag([of_state.get(name, 0.0) for name in NAMES])
         self.R = p.prediction_step * np.diag(of_input)
         self.hot, self.last = np.zeros(len(self.kinds)), np.zeros(COMMANDS)
-        self.iterations, self.solved, self.samples, self.given_up = 0, True, 0, [0, 0, 0]
+        self.iterations, self.solved, self.samples, self.given_up = 0, True, 0, 0
+        self.path, self.plan = np.zeros((0, len(NAMES))), np.zeros((0, COMMANDS))  # no plan yet
+        if printed is None:
+            A, B = full_model(p)
+            F, G = discretize(A[np.ix_(PREDICTED, PREDICTED)], B[PREDICTED], p.prediction_step)
+            self.P, n = solve_discrete_are(F, G, self.Q, self.R), len(self.of_step)
+            self.cost = self.condensed(np.tile(F, (n, 1, 1)), np.tile(G, (n, 1, 1)), 0.0, np.eye(len(NAMES)))
+            return
+        self.craft = craft_of(p)
+        self.slopes, self.rates = Slopes(self.craft, printed), self.craft.acting(arrays()).derivative
+        hover = np.array([self.craft.start()])
+        self.hover = hover[0, PREDICTED]
+        A, B = self._linear(hover, self.rest[None])
+        fastest = p.prediction_step * float(np.abs(np.linalg.eigvals(A[0])).max())
+        self.doublings = max(0, math.ceil(math.log2(max(fastest, SERIES_LIMIT) / SERIES_LIMIT)))
+        F, held = self._zero_order_hold(A)
+        self.P = solve_discrete_are(F[0], (held @ B)[0], self.Q, self.R)
 
     @property
     def duties(self) -> tuple[float, float]:  # type: ignore[override]
@@ -166,26 +162,20 @@ class PredictiveLaw(Law):
             self.hot = np.where(np.abs(info["lam"]) > ZERO_MULTIPLIER, info["lam"], 0.0)
         else:  # The solver's output is then incomplete.
             U, self.hot = np.clip(-np.linalg.solve(cost.H, cost.f), low, high), np.zeros(len(self.kinds))
-            count, *first = self.given_up
-            self.given_up = [count + 1, *(first if count else (self.samples, int(flag)))]
+            self.given_up += 1
         self.samples += 1
         # clip rounding errors; -0.0 becomes 0.0
         self.last = np.clip(self.scale * U[:COMMANDS], self.low, self.high) + 0.0
         return np.array(U)
 
-    def words(self, start: float) -> str:
-        """Return a remark on solver failures: number and first time."""
-        count, first, flag = self.given_up
-        if not count:
+    def words(self) -> str:
+        """Return a remark on solver failures."""
+        if not self.given_up:
             return ""
-        why = f"the limit of {self.most_iterations} iterations (iterations_max) was reached"
-        if flag != AT_LIMIT:
-            why = f"no solution was found (flag {flag} of daqp)"
-        at = f"{start + first * self.sample:.6g} s"
-        return (
-            f"the solver failed in {count} of {self.samples} samples, first at t = {at}: {why}; the command is then "
-            "computed without limits and clipped"
+        text = (
+            f"no solution within iterations_max = {self.most_iterations} in {self.given_up} of {self.samples} samples"
         )
+        return f"{text}; the command is then computed without limits and clipped"
 
     def estimator(self, p: Any, x_hat: Numbers, fix: float) -> Estimator:
         """Return the filter of the predicted states, started at x_hat with the tilts that cause its acceleration."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar
 
 from cosim.model import SCALAR, parameters_of
@@ -53,7 +53,13 @@ def variances_of(p: Any, kind: str, names: Sequence[str]) -> Floats:
 
 @frozen
 class Noise(Parametric):
-    """Noise that every filter assumes, by step or reading, and its sample time."""
+    """Noise that every filter assumes, by step or reading, and its sample time.
+
+    Attributes:
+        choices: Name of a text parameter → its allowed values.
+    """
+
+    choices: ClassVar[Mapping[str, Sequence[str]]] = {}
 
     process_variance_x: float = variance(1e-4, "m2", "process noise of x per step, eq 5.47")
     process_variance_vx: float = variance(1e-4, "m2/s2", "process noise of vx per step, eq 5.47")
@@ -68,12 +74,18 @@ class Noise(Parametric):
     fix_latency: float = bounded(0.0, "s", (0, 1), "how old a fix is when it arrives, §7.1")
     sample_time: float = bounded(0.02, "s", (1e-4, 1), "sample time, Fig 4.8")
 
+    def invalid_values(self) -> list[str]:
+        """Return a sentence on each invalid value."""
+        texts = ((name, getattr(self, name), allowed) for name, allowed in self.choices.items())
+        wrong = [f"{n} is {v!r}; allowed: {', '.join(allowed)}" for n, v, allowed in texts if v not in allowed]
+        return [*super().invalid_values(), *wrong]
+
 
 @frozen
 class FilterSettings(Noise):
-    """Parameters of a filter on the design model, or of double integration; the estimator is one of `estimators`."""
+    """Parameters of a filter on the design model, or of double integration."""
 
-    estimators: ClassVar[tuple[str, ...]] = (*ESTIMATORS, DOUBLE_INTEGRATION)
+    choices = {"estimator": (*ESTIMATORS, DOUBLE_INTEGRATION)}  # noqa: RUF012 - a ClassVar of the base
 
     mass: float = of_craft("mass", DESIGN)
     izz: float = of_craft("izz", DESIGN)
@@ -91,14 +103,6 @@ class FilterSettings(Noise):
 
     estimator: str = "appendix_f"
 
-    def invalid_values(self) -> list[str]:
-        """Return a sentence on each invalid value."""
-        faults = super().invalid_values()
-        if self.estimator not in self.estimators:
-            allowed = f"it is {'one of ' * (len(self.estimators) > 1)}{', '.join(self.estimators)}"
-            faults.append(f"estimator is {self.estimator!r}; {allowed}")
-        return faults
-
     @property
     def process_variances(self) -> Floats:
         """Return the diagonal of V, eq 5.47, shape (5,)."""
@@ -114,7 +118,7 @@ class FilterSettings(Noise):
 class Settings(FilterSettings):
     """Parameters of the controller FMU."""
 
-    estimators: ClassVar[tuple[str, ...]] = ESTIMATORS
+    choices = {"estimator": ESTIMATORS}  # noqa: RUF012 - a ClassVar of the base
     fed_back: ClassVar[int] = 5  # states
 
     k_1_1: float = gain(K_X, "right", "x")
@@ -174,31 +178,6 @@ class IntegralSettings(Settings):
 INTEGRAL_SETTINGS = IntegralSettings(**mirrored(WITH_INTEGRAL))
 
 
-def conflicts(p: Any) -> list[tuple[tuple[str, ...], str]]:
-    """Return the parameters that prevent a predictive solution, with reasons."""
-    found: list[tuple[tuple[str, ...], str]] = []
-    if not p.duty_min < p.duty_nominal < p.duty_max:
-        low = not p.duty_min < p.duty_nominal
-        said = (
-            f"the duty limits {p.duty_min:g} to {p.duty_max:g} % exclude hovering at {p.duty_nominal:.6g} %:"
-            " the predictive law has no solution; widen the limits"
-        )
-        found.append((("duty_min" if low else "duty_max", "duty_nominal"), said))
-    for names, why in (
-        (("weight_tilt", "weight_duty"), "so that the optimal command is unique"),
-        (("weight_x", "weight_y", "weight_psi"), "so that every position is controlled"),
-    ):
-        found += [
-            ((n,), f"{n} is {getattr(p, n):g}; it must be above 0, {why}") for n in names if not getattr(p, n) > 0
-        ]
-    if not p.prediction_step <= p.horizon <= 1000 * p.prediction_step:
-        said = f"the horizon of {p.horizon:g} s must have 1 to 1000 steps of prediction_step = {p.prediction_step:g} s"
-        found.append((("horizon", "prediction_step"), said))
-    if not p.tilt_max > 0:
-        found.append((("tilt_max",), "tilt_max must be above 0"))
-    return found
-
-
 @frozen
 class FullSettings(Settings):
     """Parameters with roll and motors, for the fourteen states linearized at hover."""
@@ -236,8 +215,18 @@ class PredictionSettings(Settings):
     )
 
     def invalid_values(self) -> list[str]:
-        """Return a sentence on each invalid value."""
-        return [*super().invalid_values(), *(said for _, said in conflicts(self))]
+        """Return a sentence on each invalid value, which names it; without a solution, on each cause."""
+        faults, nominal = super().invalid_values(), self.duty_nominal
+        for name, wrong in (("duty_min", self.duty_min >= nominal), ("duty_max", self.duty_max <= nominal)):
+            if wrong:
+                limits = f"duty_min {self.duty_min:g} % and duty_max {self.duty_max:g} %"
+                faults.append(f"{name} excludes hovering at duty_nominal {nominal:.6g} %; widen the limits {limits}")
+        positive = ("weight_tilt", "weight_duty", "weight_x", "weight_y", "weight_psi", "tilt_max")
+        faults += [f"{n} is {getattr(self, n):g}; it must be above 0" for n in positive if not getattr(self, n) > 0]
+        if not self.prediction_step <= self.horizon <= 1000 * self.prediction_step:
+            text = f"must have 1 to 1000 steps of prediction_step = {self.prediction_step:g} s"
+            faults.append(f"horizon is {self.horizon:g} s; it {text}")
+        return faults
 
 
 @frozen
@@ -253,7 +242,7 @@ PLANT_STATES = tuple(q.name for q in Hovercraft.base_states)
 
 @frozen
 class ExtendedSettings(Noise):
-    """Assumed noise of the extended filter, and the axes of its fixes; `axes` is one of `AXES`.
+    """Assumed noise of the extended filter, and the axes of its fixes.
 
     Process noise is per sample; noise of the five design states is from eq 5.47, the rest is chosen here. Motion along
     the craft's axes also moves the world position, which has no noise of its own.
@@ -269,12 +258,8 @@ class ExtendedSettings(Noise):
     process_variance_tilt_left: float = variance(4e-6, "rad2", "process noise of the left tilt per step, a's 1e-4")
     measurement_variance_y: float = variance(1e-4, "m2", "noise of a fix of y, §7.1; 1e6 where y is not measured")
 
+    choices = {"axes": tuple(AXES)}  # noqa: RUF012 - a ClassVar of the base
     axes: str = "own"
-
-    def invalid_values(self) -> list[str]:
-        """Return a sentence on each invalid value."""
-        stranger = [] if self.axes in AXES else [f"axes is {self.axes!r}; allowed: {', '.join(AXES)}"]
-        return [*super().invalid_values(), *stranger]
 
 
 # The equations are assumed accurate to 1 % of a propeller's thrust, 25 mN at its arm, independently at each sample of
@@ -294,7 +279,7 @@ class TimeVariantSettings(PredictionSettings, ExtendedSettings):
     The thrust line passes through `thrust_nominal` at `duty_nominal`. Unused: `k_i_j`, `process_variance_a`.
     """
 
-    estimators: ClassVar[tuple[str, ...]] = ("extended",)
+    choices = {"estimator": ("extended",), "axes": tuple(AXES)}  # noqa: RUF012 - a ClassVar of the base
 
     ixx: float = of_craft("ixx")
     propeller_radius: float = of_craft("propeller_radius")
@@ -316,8 +301,15 @@ class TimeVariantSettings(PredictionSettings, ExtendedSettings):
     estimator: str = "extended"
 
     def invalid_values(self) -> list[str]:
-        """Return a sentence on each invalid value."""
-        return super().invalid_values() or [said for _, said in craft_faults(self)]
+        """Return a sentence on each invalid value; with valid ones, on a craft that is not possible."""
+        if faults := super().invalid_values():
+            return faults
+        try:
+            craft_of(self)
+        except ValueError as error:
+            line = f"{self.thrust_nominal:g} N at {self.duty_nominal:g} % and {self.thrust_slope:g} gf/%"
+            return [f"thrust_nominal {line} are not possible for the craft: {error}"]
+        return []
 
 
 OF_CRAFT = tuple(p.name for p in parameters_of(TimeVariantSettings) if p.name in CRAFT)
@@ -333,14 +325,3 @@ def craft_of(p: Any) -> Hovercraft:
     gain = ground_effect(SCALAR, p.height, p.propeller_radius, p.ground_effect_exponent)
     offset = float(1000.0 * p.thrust_nominal / (p.gravity * gain) - p.thrust_slope * p.duty_nominal)
     return Hovercraft(**values, thrust_offset=offset).with_values({"yaw_damping.coefficient": p.yaw_damping})
-
-
-def craft_faults(p: Any) -> list[tuple[tuple[str, ...], str]]:
-    """Return names and reasons of parameters invalid for a craft."""
-    try:
-        craft_of(p)
-    except ValueError as error:
-        names = "thrust_nominal", "thrust_slope", "duty_nominal", "yaw_damping"
-        said = f"thrust_nominal {p.thrust_nominal:g} N at {p.duty_nominal:g} % and {p.thrust_slope:g} gf/%"
-        return [(names, f"{said} are not possible for the craft: {error}")]
-    return []

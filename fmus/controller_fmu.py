@@ -99,7 +99,7 @@ def controller_ports(settings: Settings, *more: Port) -> tuple[Port, ...]:
         Port("tilt_left", "output", 0.0, "rad", "tilt command of the left propeller, saturated"),
         *ESTIMATES,
         *SIGMA,
-        *settings_ports(settings, "estimator", f"Kalman filter: {', '.join(settings.estimators)}"),
+        *settings_ports(settings, "estimator", f"Kalman filter: {', '.join(settings.choices['estimator'])}"),
         *more,
     )
     return tuple(p for causality in ("input", "output", "parameter") for p in every if p.causality == causality)
@@ -206,13 +206,11 @@ class HovercraftController(SampledSlave):
 
     def start(self, settings: Any, x_hat: list[float], given: dict[str, Value]) -> Loop:
         """Return the control loop."""
-        _, _, _, x_ref, psi_ref, _, _, fix, *y_ref = self.inputs  # y_ref exists only for laws with y
-        return Loop(settings, x_hat, x_ref, psi_ref, fix, y_ref=sum(y_ref), law=self.law(settings, given))
+        return Loop(settings, x_hat, *self.inputs[3:], law=self.law(settings, given))
 
     def process(self) -> None:
         """Process one sample."""
-        psi, psi_dot, ax, x_ref, psi_ref, x_meas, y_meas, fix, *y_ref = self.inputs
-        self.running.step((psi, psi_dot, ax), x_ref, psi_ref, fix, x_meas, y_meas=y_meas, y_ref=sum(y_ref))
+        self.running.step(self.inputs[:3], *self.inputs[3:])
 
     def published(self) -> list[float]:
         """Return commands, estimate, its standard deviations, and further outputs of the law."""
@@ -221,7 +219,7 @@ class HovercraftController(SampledSlave):
 
     def terminate(self) -> None:
         """Log the control law's remarks on the run as a warning."""
-        if self.phase is STEP and (words := self.running.law.words(self.start_time)):
+        if self.phase is STEP and (words := self.running.law.words()):
             self.log(words, Fmi2Status.warning)
 
 
@@ -347,7 +345,7 @@ class HovercraftFilter(Estimator):
     """Kalman filter of the thesis in three variants, or double integration, by parameter `estimator`."""
 
     settings = FilterSettings()
-    ports = (*SIGNALS, *settings_ports(settings, "estimator", f"estimator: {', '.join(FilterSettings.estimators)}"))
+    ports = (*SIGNALS, *settings_ports(settings, "estimator", f"estimator: {', '.join(settings.choices['estimator'])}"))
 
     def start(self, settings: Any, x_hat: list[float], given: dict[str, Value]) -> Any:
         """Return the filter or double integration."""

@@ -12,7 +12,7 @@ import numpy as np
 from controller.design_model import design_model, discrete_model, fix_matrix, measurement_matrix
 from controller.settings import ESTIMATORS, Settings
 from cosim.fmi.native.package import Native, part
-from cosim.fmi.native.printing import LANGUAGE, quote, variable_tables
+from cosim.fmi.native.printing import LANGUAGE, quote
 from cosim.fmi.ports import Value
 from cosim.model import parameters_of
 from fmus.controller_fmu import ESTIMATE
@@ -26,28 +26,14 @@ def controller_native(starts: Mapping[str, Value] | None = None) -> Native:
     """Return the native controller, optionally with other start values."""
     recipe = controller_recipe().with_starts(starts or {})
     ports = recipe.about.ports
-    tables, texts = variable_tables(ports)
     place = {port.name: k for k, port in enumerate(ports)}
-    sizes = {
-        "VARIABLES": len(ports),
-        "TEXTS": texts,
-        "INPUTS": sum(p.causality == "input" for p in ports),
-        "OUTPUTS": sum(p.causality == "output" for p in ports),
-        "STATES": 0,
-        "MEMORIES": 0,
-        "KINKS": 0,
-        "RANGES": 0,
-        "EFFECTS": 0,
-        # x̂, P, u, last fix, then F, G, H, V, W, L, limit and sample time, H and W of a fix
-        "OWN": (STATES + STATES**2 + COMMANDS + 1)
-        + (STATES * (STATES + COMMANDS + MEASURED + 1 + COMMANDS) + MEASURED + 2)
-        + FIXED * (STATES + 1),
-        "EXCHANGE": 0,
-    }
+    # x̂, P, u, last fix, then F, G, H, V, W, L, limit and sample time, H and W of a fix
+    own = (STATES + STATES**2 + COMMANDS + 1) + FIXED * (STATES + 1)
+    own += STATES * (STATES + COMMANDS + MEASURED + 1 + COMMANDS) + MEASURED + 2
     counts = {"states": STATES, "commands": COMMANDS, "measured": MEASURED, "fixed": FIXED}
     text = TEMPLATE.read_text(encoding="utf-8") % {**place, **counts}
     parts = {n: part(n) for n in ("filter.c", "steps_only.c")}
-    return Native("HovercraftController", recipe.about, tables + text + _design(place), sizes, parts, recipe.text)
+    return Native("HovercraftController", recipe.about, text + _design(place), {"OWN": own}, parts, recipe.text)
 
 
 def _design(place: dict[str, int]) -> str:

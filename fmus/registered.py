@@ -32,7 +32,6 @@ BENCH = ModelEntry(name="bench", model="plant.bench:Bench", recipe="fmus.recipes
 RUN_PAGE = Page(
     variables=frozenset({"x_world", "y_world", "psi"}),
     subject="fmus.report.craft_page:subject",
-    figures="fmus.report.png_figures:figures",
 )
 IDENTIFY = Verb(
     command="plant.identification.command:command",

@@ -149,7 +149,7 @@ def typed(document: Path) -> Iterator[str]:
         yield from (line for line in block.splitlines() if line and not line.startswith(NOT_HERE))
 
 
-def recipe(path: Path, python: str = "python3") -> Iterator[tuple[str, str]]:
+def recipe(path: Path) -> Iterator[tuple[str, str]]:
     """Yield the instructions of a Containerfile with their texts."""
     for line in path.read_text(encoding="utf-8").replace("\\\n", " ").splitlines():
         if line and not line.startswith("#"):
@@ -157,13 +157,13 @@ def recipe(path: Path, python: str = "python3") -> Iterator[tuple[str, str]]:
             yield name, text
 
 
-def steps(workflow: Path) -> Iterator[tuple[str, bool]]:
-    """Yield the commands of the first job of a workflow, and whether a command runs after a failure too."""
+def steps(workflow: Path) -> Iterator[str]:
+    """Yield the commands of the first job of a workflow."""
     content: Any = YAML(typ="safe").load(workflow)
     (first, *_) = content["jobs"].values()
     for step in first["steps"]:
         if "run" in step and "hashFiles" not in str(step.get("if", "")):
-            yield step["run"], "always()" in str(step.get("if", ""))
+            yield step["run"]
 
 
 # -- the trials -----------------------------------------------------------------------------------------
@@ -245,7 +245,7 @@ def try_workflow(folder: Path) -> None:
         shutil.copy(path, place.folder / "wheels")
     place.variables["GITHUB_STEP_SUMMARY"] = str(place.folder / "summary.md")
     options, made = ("--noprofile", "--norc", "-eo", "pipefail"), False
-    for line, _ in steps(ROOT / "examples" / "ci" / "cosim.yml"):
+    for line in steps(ROOT / "examples" / "ci" / "cosim.yml"):
         place.run(line, options=options)
         if not made:  # the first step has installed cosim, which brings PythonFMU
             made = True

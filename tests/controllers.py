@@ -145,7 +145,7 @@ def fly(
                 law.filter.filter.x = np.array(x_hat if law.printed is None else moment.state)
             loop.command = law.command(x_hat, seen)
         else:
-            loop.step(measured, x_ref, psi_ref, fix, at[0], y_meas=at[1])
+            loop.step(measured, x_ref, psi_ref, *at, fix)
         spent.append(time.perf_counter() - began)
     table = np.array(rows).T
     y, wanted = dict(zip(OUTPUTS, table[12:], strict=True)), {"x": table[1], "psi": table[2]}

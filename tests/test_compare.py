@@ -210,8 +210,8 @@ def test_the_command_compares_runs_of_a_pattern(runs: Path, monkeypatch: pytest.
     [
         (["1"], "at least two"),
         (["1", "2", "--baseline", "s/*"], "3 runs match"),
-        (["1", "9"], "no results with the number 9"),
-        (["1", "x*"], "no results match"),
+        (["1", "9"], "no such folder, file or results"),
+        (["1", "x*"], "no such folder, file or results"),
         (["1", "3", "--out", "results/s/0002"], "results/s/0002"),  # what is there is of others
     ],
 )

@@ -124,7 +124,7 @@ def test_the_predictive_law_holds_y_with_fixes() -> None:
 @pytest.fixture(scope="module")
 def planned() -> PredictiveLaw:
     """The law after some programs for the same craft at rest, of which each linearises the plan before it."""
-    law, seen = time_variant(LTV), LawInput(1.5, -1.0, 0.3)
+    law, seen = time_variant(LTV), LawInput(1.5, -1.0, y_ref=0.3)
     law.estimator(LTV, [0.0] * 5, 0.0)
     for _ in range(4):
         law.command([], seen)
@@ -195,7 +195,10 @@ def test_the_manoeuvre_of_app_g_is_within_10_percent_and_15_degrees(name: str) -
 def test_an_fmu_commands_as_its_loop_does(fmus: dict[str, Path], name: str, values: dict[str, float | str]) -> None:
     settings, make = LAWS[name]
     settings = replace(settings, **values)
-    loop, rng = Loop(settings, [0.3, 0.0, -0.2, 0.0, 0.0], 0.1, 0.2, 2.0, law=make(settings)), np.random.default_rng(5)
+    loop, rng = (
+        Loop(settings, [0.3, 0.0, -0.2, 0.0, 0.0], 0.1, 0.2, 0.0, 0.0, 2.0, law=make(settings)),
+        np.random.default_rng(5),
+    )
     if "k_1_1" in values:
         assert np.ravel(settings.gain_matrix).tolist() == [values[gain] for gain in GAINS]
 
@@ -209,7 +212,7 @@ def test_an_fmu_commands_as_its_loop_does(fmus: dict[str, Path], name: str, valu
         assert list(controller.initialize(values | start).outputs().values()) == told()
         for k in range(60):
             row = (*(0.1 * rng.normal(size=5)).tolist(), 0.2, 0.1, float(2 + k // 5))
-            loop.step(row[:3], *row[3:5], row[7], row[5], y_meas=row[6])
+            loop.step(row[:3], *row[3:])
             inputs = dict(
                 zip(("psi", "psi_dot", "ax", "x_ref", "psi_ref", "x_meas", "y_meas", "fix"), row, strict=True)
             )

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import math
 import struct
-from contextlib import nullcontext
 from pathlib import Path
 
 import numpy as np
@@ -50,10 +49,10 @@ def test_a_scenario_chooses_the_units_of_terminal_report_and_browser(folder: Pat
     assert isinstance(read, Run)
     np.testing.assert_array_equal(read["log.T"], [280.0, 290.0, 300.0])
     assert "500\u00a0mm" in (folder / "out" / "report.html").read_text(encoding="utf-8")
-    runs, _ = open_runs(find_runs(["out"], folder)[0], lambda text: nullcontext())
+    runs, _ = open_runs(find_runs(["out"], folder)[0])
     viewer, request = Viewer(runs, None), Request({"type": "http"})
     about = json.loads(bytes(viewer.routes()["GET /about"](request, None).body))
-    assert about["sets"][0][:2] == [["log.T", "log.x"], ["°C", "mm"]]
+    assert [about["runs"][0][key] for key in ("numbers", "units")] == [["log.T", "log.x"], ["°C", "mm"]]
     values = viewer.routes()["POST /values"](request, {"curves": [[0, "log.T"]], "at": 1.0}).body
     assert struct.unpack("<2d", bytes(values)) == pytest.approx((1.0, 290.0 - 273.15))
 

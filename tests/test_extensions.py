@@ -45,8 +45,8 @@ from pathlib import Path
 from acme import tank
 from cosim.core.registry import ModelEntry, Page, Verb
 from cosim.fmi.fmu_build import model_recipe
-from cosim.report.html_tables import Row
-from cosim.simulation.report.component_page import ComponentPage
+from cosim.report.template import Row
+from cosim.simulation.report.recorded import ComponentPage
 from cosim.files.artefact import Artefact
 
 TANK = ModelEntry(name="acme_tank", model="acme.tank:Tank", recipe="acme.registered:tank_recipe")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from contextlib import nullcontext
 from pathlib import Path
 
 import numpy as np
@@ -49,6 +48,6 @@ def test_a_playback_a_browser_and_a_reader_take_it(table: Path) -> None:
     assert isinstance(read, Signals)
     np.testing.assert_array_equal(read["other"], [1.0, 2.0, 3.0])
     np.testing.assert_allclose(read.time, [0.0, 0.02, 0.04])
-    (run,), _ = open_runs(find_runs([str(table)], Path())[0], lambda text: nullcontext())
+    (run,), _ = open_runs(find_runs([str(table)], Path())[0])
     assert (run.rows.rows, run.rows.units) == (3, {"Left": "%", "other": ""})
     assert run.notes

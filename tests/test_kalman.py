@@ -59,7 +59,7 @@ def test_loop_predicts_updates_and_feeds_back_in_this_order(estimator: str) -> N
         for read, values, noise in updates:
             gain = np.linalg.solve(read @ P @ read.T + noise, read @ P).T
             x, P = x + gain @ (values - read @ x), (np.eye(5) - gain @ read) @ P
-        command = loop.step(z.tolist(), reference[0], reference[2], float(count), x_meas)
+        command = loop.step(z.tolist(), reference[0], reference[2], x_meas, 0.0, float(count))
         # two forms of the covariance update (Joseph's and the short one), 200 samples of rounding
         assert loop.estimate == pytest.approx(x, rel=1e-9, abs=1e-11)
         assert command == pytest.approx(np.clip(-K @ (x - reference), -limit, limit), rel=1e-9, abs=1e-11)

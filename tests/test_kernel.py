@@ -14,9 +14,9 @@ import pytest
 from cosim.core.arrays import Array
 from cosim.estimation.kernel import backend
 from cosim.estimation.kernel.backend import kernel
-from cosim.estimation.kernel.c_filter import CompiledKernel
 from cosim.estimation.kernel.generate import KNOTS, bump, generate, rise
 from cosim.estimation.kernel.kernel import MEMORY, Data, Layout
+from cosim.estimation.kernel.library_kernel import CompiledKernel
 from cosim.estimation.subject.model_subject import neutral_values
 from cosim.files.cache import cache_path
 from cosim.fmi.building.file import own_model

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cosim.files.artefact import BINARY, LOG, RESULTS, SCENARIO
+from cosim.files.artefact import BINARY, LOG, RESULTS
 from cosim.files.kinds import kind_of
 from tests.test_first_steps import told
 
@@ -78,12 +78,10 @@ def shelf(tmp_path_factory: pytest.TempPathFactory) -> Path:
         "fit.json": json.dumps({**answer, "parameters": {}, "simulations": 1, "logs": []}),
         "replay.json": json.dumps({**answer, "units": {}}),
         "view.json": json.dumps({**answer, "layouts": {}}),
-        "schema.json": '{"$schema": "https://json-schema.org/draft/2020-12/schema", "properties": {}}',
-        "report.html": "<!doctype html>\n<html>" + "<p>word</p>" * 300, "page.csv": "\n<HTML><body>not found",
+        "report.html": "<!doctype html>\n<html>" + "<p>word</p>" * 300,
         "graph.svg": '<svg xmlns="http://www.w3.org/2000/svg" aria-label="' + "a, " * 300 + '"/>',
         "a.ipynb": '{"cells": [], "nbformat": 4}',
         "notes.txt": "some words, and\nmore of them\n",
-        "pointer.fmu": "version https://git-lfs.github.com/spec/v1\noid sha256:1\nsize 9\n",
     }  # fmt: skip
     for name, text in texts.items():
         (folder / name).write_text(text)
@@ -128,8 +126,6 @@ def test_what_a_command_does_not_read_is_named_with_the_one_that_does(
 @pytest.mark.parametrize(
     ("content", "kind"),
     [
-        (b"# a comment\nname: s\nduration: 1\ncomponents: {}\n", SCENARIO),
-        (b'{"name": "s", "components": {}}', SCENARIO),
         (b"Device: X\ntime,x\n0,1\n", LOG),
         ("zeit,größe\n0,1\n".encode("latin-1"), LOG),
         ("time,x\n0,1\n".encode("utf-16"), LOG),

@@ -23,7 +23,7 @@ COMMAND = (6.5, 6.3, 0.2, -0.1)
 
 
 def test_linearization_equals_central_differences() -> None:
-    """Of the base model and smooth effects; equations of each effect: test_batch."""
+    """Of the base model and smooth effects; `build --native` compares the equations of each effect in both forms."""
     craft = Hovercraft().with_values(
         {"stribeck_friction.force": 0.02, "battery_sag.drop": 0.1, "com_offset.right": 4e-3}
     )

@@ -143,7 +143,7 @@ def test_a_model_file_is_read_as_it_is_however_soon_after_a_change(
 @pytest.mark.parametrize(
     ("catalogue", "old", "new", "message"),
     [
-        ("Late, Play", 'delay = "time"', 'delay = "tim"', 'late has no parameter "tim"; did you mean "time"?'),
+        ("Late, Play", 'delay = "time"', 'delay = "tim"', 'no parameter "tim"; did you mean "time"?'),
         ("Play, Late", "", "", "put it before play in the catalogue"),
         ("Late, Play", 'equation = "play of', 'delay = "width"; equation = "play of', "play and late both"),
         ("Late", 'memory = (Quantity("torque", "N.m", "torque held back"),)', "memory = ()", "1 inputs and has 0"),
@@ -173,7 +173,7 @@ def test_a_delay_comes_first_and_alone(tmp_path: Path, catalogue: str, old: str,
         ("class A(Model): pass\n", "own.py:B", 'has no model class "B" (models here: Hovercraft, A)'),
         ("class A(Model): pass\nB = A\n", "own.py", "own.py:3:1: A has no equations"),
         ("import (\n", "own.py", "own.py:3:8: does not load: SyntaxError"),
-        ("", "none.py:A", "none.py: no such model file"),
+        ("", "none.py:A", "none.py: no model"),
     ],
 )
 def test_check_of_a_file_without_its_one_model(tmp_path: Path, text: str, name: str, message: str) -> None:

@@ -148,7 +148,7 @@ def test_the_native_controller_is_filterpy_and_lqr(settings: dict[str, Any], nat
     exact = []
     rows[:, 7] = np.arange(500) // 5  # fixes at 10 Hz
     for psi, psi_dot, ax, x_ref, psi_ref, x_meas, _, fix in rows:
-        loop.step((psi, psi_dot, ax), x_ref, psi_ref, fix, x_meas)
+        loop.step((psi, psi_dot, ax), x_ref, psi_ref, x_meas, 0.0, fix)
         exact.append([own.duty_nominal] * 2 + [*loop.command, *loop.estimate, *loop.sigma])
     values = settings | {"x_hat_start": 0.3, "psi_hat_start": 0.1}
     listed = [tuple(row) for row in rows.tolist()]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 from pathlib import Path
 
 import pytest
@@ -10,7 +9,6 @@ import pytest
 from cosim.core.errors import InputError
 from cosim.fmi.building.build import build
 from cosim.fmi.description import read_description
-from cosim.simulation.workflow import run
 from tests.test_first_steps import told
 
 
@@ -67,16 +65,3 @@ def test_where_there_is_no_nearest_model_build_says_so_in_a_line(
     assert words in line
     assert refused.value.exit_code == 2
     assert not Path("built").exists()
-
-
-@pytest.mark.thorough
-def test_a_run_takes_the_nearest_plant(project: Path, refined: Path, plant_fmu: Path) -> None:
-    for name in ("plant.fmu", "nearest.fmu"):
-        shutil.copy(plant_fmu, refined / name)
-    settings = ["duration=0.1", "criteria={}", f"components.plant.fmu={refined}/plant.fmu"]
-    scenario = project / "scenarios" / "regulate.yaml"
-    for nearest, name in ((True, "nearest.fmu"), (False, "plant.fmu")):
-        record = run(scenario, project / name, settings, nearest=nearest, report=False).manifest
-        assert record["fmus"]["plant"]["path"] == str(refined / name)
-    again = run(project / name / "manifest.json", project / "again", report=False).manifest
-    assert again["scenario"] == record["scenario"]

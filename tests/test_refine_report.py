@@ -16,8 +16,7 @@ from cosim.fmi.building.file import own_model
 from cosim.model import Stepper
 from cosim.refinement.decision.claims import sentence
 from cosim.refinement.refinement import Refinement
-from cosim.refinement.report.plots import compare_effects, innovations
-from cosim.refinement.report.refine_page import write_refine_report
+from cosim.refinement.report.refine_page import compare_effects, innovations, write_refine_report
 from cosim.report.charts import Charts
 from cosim.residuals.residual_statistics import remaining_excess
 from cosim.verbs.checks import schema_of

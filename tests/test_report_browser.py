@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from cosim.files.results import Results
-from cosim.report.charts import Abscissa, Charts, decimals_of
+from cosim.report.charts import Charts, decimals_of
 from cosim.report.panels import Panel, Trace
 from cosim.report.template import render
 from cosim.simulation.report import write_report
@@ -55,7 +55,7 @@ def paths(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     write_report(folder / "run.html", recorded(), {"scenario": {"name": "tank", "connections": LINKS}})
     charts = Charts()
     both = [Trace("level", LEVEL, "estimate"), Trace("model", MODEL, "true", anew=True)]
-    plots = charts.over(TIME, Abscissa(breaks=STARTS)).plots([Panel("Level", "m", both), Panel("Left", "m", both[:1])])
+    plots = charts.over(TIME, breaks=STARTS).plots([Panel("Level", "m", both), Panel("Left", "m", both[:1])])
     poles = Panel("Poles", "rad/s", [Trace("imaginary part", POLES.imag, "s0 crosses", x=POLES.real)])
     also, reach = {"size": np.abs(POLES)}, (-4.0, 4.0)
     plots.append(charts.points(poles, (-5.0, 1.0), ("real part", "1/s"), also, reach=reach))

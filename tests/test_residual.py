@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from cosim.logs.channel_noise import noise_level
+from cosim.logs.log import noise_level
 from cosim.residuals.residual_statistics import fit_percent, input_correlations, pool_errors, rmse, score, whiteness
 
 Array = NDArray[np.float64]

@@ -183,7 +183,7 @@ def test_a_run_is_listed_while_it_goes_on_and_after_its_kill(here: Path) -> None
     quick = "run deeds.yaml --no-report --set components.bad.fmu=good.fmu --set duration=0.5"
     try:
         end = time.monotonic() + SOON
-        while "scenario" not in (folder / "0001" / "started.json").read_text() and time.monotonic() < end:
+        while "}" not in (folder / "0001" / "started.json").read_text() and time.monotonic() < end:
             time.sleep(0.02)
         assert outcomes() == {"deeds/0001": "running"}
         do("open --no-browser", code=2)
@@ -298,7 +298,7 @@ def test_removal_takes_earlier_runs_and_never_the_newest(runs: Path) -> None:
     assert names() == ["tank/0003", "tank/0004"]
 
 
-def test_results_of_earlier_versions_are_read(here: Path) -> None:
+def test_results_in_subfolders_are_listed(here: Path) -> None:
     root = Path("results")
     scenario, other = ({"name": "tank", "components": {"tank": {"start": {"area": area}}}} for area in (0.5, 0.6))
     record(root / "tank" / "runs" / "0001", 1e9, {"scenario": scenario, "status": "ok"})
@@ -314,7 +314,7 @@ def test_results_of_earlier_versions_are_read(here: Path) -> None:
     run()
     assert names("tank") == names("results/tank") == ["tank/0001"]
     do("gc --yes")
-    assert names("t*") == ["tank", "tank/0001"]
+    assert names("t*") == ["tank/runs/0002", "tank", "tank/0001"]
 
 
 def test_records_that_are_damaged_or_missing_are_listed_as_such(runs: Path) -> None:

@@ -18,7 +18,7 @@ from cosim.fmi.building.file import own_model
 from cosim.model import Model, Stepper
 from cosim.model.namespaces import SCALAR
 from cosim.refinement.proof.measure import Variant
-from cosim.refinement.report.plots import compare_effects
+from cosim.refinement.report.refine_page import compare_effects
 from cosim.refinement.study import read_study
 from plant.sensor_errors import MagnetometerDisturbance
 from tests.logs import times, write_log

@@ -7,7 +7,6 @@ import math
 import os
 import time
 from collections.abc import Callable, Iterator
-from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlencode
@@ -19,12 +18,11 @@ from cosim.core.errors import InputError
 from cosim.core.scratch import process_folder
 from cosim.files.results import Results
 from cosim.files.run_entries import entries
-from cosim.pages import tables
+from cosim.pages import rows as tables
 from cosim.pages.layouts import Layouts
-from cosim.pages.rows import TIME, Recording, Store
+from cosim.pages.rows import TIME, Recording, open_rows
 from cosim.pages.runs import RunPlace, ViewedRun, find_runs, open_runs
 from cosim.pages.server import ServedPage
-from cosim.pages.tables import ColumnTypes, open_rows
 from cosim.pages.view_page import view_page
 from tests.live_pages import ask as asked
 from tests.test_first_steps import told
@@ -45,29 +43,28 @@ def times(kind: str, rows: int) -> Array:
     return np.cumsum(steps)
 
 
-def recording(time: Array, values: Array, folder: Path | None) -> Recording:
-    """A recording in memory, or in a file to which rows are added in parts, the last of at most three rows."""
-    if folder is None:
-        return Recording({TIME: time, "x": values}, {"x": "m"}, time.size)
-    store, ends = Store(folder, {"x": "m"}), np.cumsum(RNG(5).integers(1, 20_000, 30))
+def recording(time: Array, values: Array, *, grows: bool) -> Recording:
+    """A recording, or one to which rows are added in parts, the last of at most three rows."""
+    if not grows:
+        return Recording({TIME: time, "x": values}, {"x": "m"})
+    record, ends = Recording({}, {"x": "m"}), np.cumsum(RNG(5).integers(1, 20_000, 30))
     for part in np.split(np.vstack((time, values)), [*ends[ends < time.size - 3], time.size - 3], axis=1):
-        store.append(part)
-    return store
+        record.append(part)
+        record.extremes("x")
+    return record
 
 
 # -- pictures ------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("kind", ["uniform", "bursts", "events"])
-@pytest.mark.parametrize(("rows", "is_stored"), [(1, False), (17, True), (300_000, False), (100_000, True)])
-def test_a_picture_has_the_extremes_of_the_rows_in_every_pixel_column(
-    kind: str, rows: int, is_stored: bool, tmp_path: Path
-) -> None:
+@pytest.mark.parametrize(("rows", "grows"), [(1, False), (17, True), (300_000, False), (100_000, True)])
+def test_a_picture_has_the_extremes_of_the_rows_in_every_pixel_column(kind: str, rows: int, grows: bool) -> None:
     time, rng, width = times(kind, rows), RNG(1), 200
     values = rng.standard_normal(rows)
     values[rng.random(rows) < 0.2] = np.nan
     values[rows // 3 : rows // 2] = np.nan
-    record = recording(time, values, tmp_path if is_stored else None)
+    record = recording(time, values, grows=grows)
     assert (record.rows, *record.span()) == (rows, time[0], time[-1])
     for begin, end in ((time[0], time[-1] + 1e-9), (time[rows // 4], time[rows // 2] + 1e-3)):
         picture = record.picture(begin, end, width)
@@ -104,16 +101,18 @@ def stored(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> b
 
 
 @pytest.mark.parametrize("suffix", [".csv", ".parquet", ".mat"])
-def test_a_converted_table_gives_what_memory_gives(tmp_path: Path, suffix: str, stored: bool) -> None:
+def test_a_converted_table_gives_what_memory_gives(
+    tmp_path: Path, suffix: str, stored: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
     path = tmp_path / f"results{suffix}"
     results = table(path, 30_000)
-    rows = open_rows(path, ColumnTypes())
-    assert isinstance(rows, Store) is (stored or path.stat().st_size > 4e6)
-    places = np.array([5, 29_000, 4097, 4096])
+    rows = open_rows(path)
+    assert rows.column("a").flags.writeable is not (stored or path.stat().st_size > 4e6)  # a file is mapped
     for name in results.columns:
         np.testing.assert_array_equal(rows.read(name), results[name])
-        np.testing.assert_array_equal(rows.take(name, places), results[name][places])
-    assert open_rows(path, ColumnTypes(), lambda done, total: pytest.fail("converted twice")).rows == rows.rows
+    if stored:
+        monkeypatch.setattr(tables, "read_results", lambda *_, **__: pytest.fail("converted twice"))
+        assert open_rows(path).rows == rows.rows
 
 
 def test_a_changed_table_is_converted_again_and_old_conversions_are_removed(
@@ -123,11 +122,11 @@ def test_a_changed_table_is_converted_again_and_old_conversions_are_removed(
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     path, cache = tmp_path / "results.csv", tmp_path / "cache" / "cosim" / "view"
     table(path, 5000)
-    assert open_rows(path, ColumnTypes()).rows == 5000
+    assert open_rows(path).rows == 5000
     (first,) = cache.iterdir()
     table(path, 6000)
     os.utime(first, (0.0, 0.0))
-    assert open_rows(path, ColumnTypes()).rows == 6000
+    assert open_rows(path).rows == 6000
     (second,) = cache.iterdir()
     assert second != first
 
@@ -147,7 +146,7 @@ def test_a_faulty_table_is_refused_with_the_place_and_leaves_nothing(tmp_path: P
     path = tmp_path / "results.csv"
     path.write_text(text)
     with pytest.raises(InputError, match=place):
-        open_rows(path, ColumnTypes())
+        open_rows(path)
     assert [*tmp_path.iterdir()] == [path]
 
 
@@ -166,11 +165,11 @@ def test_integers_of_64_bits_are_numbers_and_texts_and_texts_are_texts(tmp_path:
     results = Results(np.arange(300.0), ("fmu.x",), np.ones((300, 1)), {"fmu.x": "m"}, exact)
     results.write(path := tmp_path / f"results{suffix}")
     texts, words = results.texts(), frozenset({"fmu.word", "fmu.raw", "fmu.mode"})
-    rows = open_rows(path, ColumnTypes(text=[*exact], words=words))
+    rows = open_rows(path, text=[*exact], words=words)
     assert ({*rows.units}, {*rows.texts}, rows.rounded) == ({"fmu.x", "fmu.id"}, {*texts}, ["fmu.id"])
     np.testing.assert_array_equal(rows.read("fmu.id"), np.array(LARGE * 100, dtype=float))
     for name, row in ((name, row) for name in texts for row in (0, 298, 299)):
-        assert rows.text(name, row) == texts[name][row]
+        assert rows.exact(name, row, row + 1) == [texts[name][row]]
 
 
 # -- runs ----------------------------------------------------------------------------------------------
@@ -195,7 +194,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def test_runs_without_names_are_all_that_can_be_read(folder: Path) -> None:
     places, _ = find_runs((), Path("results"))
-    runs, warnings = open_runs(places, lambda words: nullcontext())
+    runs, warnings = open_runs(places)
     assert [run.place.name for run in runs] == ["tank/runs/0001", "tank"]
     assert len(warnings) == 2  # the torn manifest of tank, and half is left out
     assert runs[0].rows.units == {"tank.level": "m", "tank.Level": ""}  # names that differ in case only
@@ -245,7 +244,7 @@ def values_at(ask: Ask, at: float, *curves: list[Any]) -> list[float]:
 def test_points_values_planes_and_tables_come_from_the_server(page: tuple[ServedPage, Ask]) -> None:
     _, ask = page
     span = {"from": 0.0, "to": 1.0}
-    assert ask("about")["sets"] == [[["x", "y"], ["m", ""], []]]
+    assert [(r["numbers"], r["units"], r["texts"]) for r in ask("about")["runs"]] == [(["x", "y"], ["m", ""], [])] * 2
     points = np.frombuffer(ask("points", {**span, "width": 100, "curves": [[0, "x"], [1, "y"]]}))
     np.testing.assert_array_equal(points, [3, 1, 1, 0, 1, 1, 0, 1, 2, 3, 1, 1, 0, 1, 1, 1, np.nan, 3])
     plane = np.frombuffer(ask("plane", {**span, "width": 100, "across": [[0, "x"]], "curves": [[0, "y"]]}))
@@ -278,9 +277,7 @@ def test_statistics_and_spectra_are_those_of_the_rows_between_two_times(tmp_path
     time = np.arange(20_000) * 1e-3
     values = 3.0 + 2.0 * np.sin(2.0 * np.pi * 12.5 * time)
     values[100], values[15_000] = np.nan, 1e6  # a gap, and a peak after the range
-    run = ViewedRun(
-        RunPlace("r", "r", tmp_path / "r.csv"), rows=Recording({TIME: time, "x": values}, {"x": "m"}, 20_000)
-    )
+    run = ViewedRun(RunPlace("r", "r", tmp_path / "r.csv"), rows=Recording({TIME: time, "x": values}, {"x": "m"}))
     (tmp_path / "r.csv").write_text("time,x\n")
     few = {"from": 0.0, "to": 0.01, "curves": [[0, "x"]]}
     with view_page("r", [run], Layouts(tmp_path / "view.json")) as page:
@@ -337,8 +334,8 @@ def test_names_with_control_characters_are_shown_as_escapes(tmp_path: Path) -> N
         ask = asking(page)
         about = ask("about")
         assert about["runs"][0]["label"] == r"r\u001b"
-        assert about["sets"][0][0] == [r"x\u001b[31m\u202e"]
-        assert values_at(ask, 1.0, [0, about["sets"][0][0][0]]) == [2.0]
+        assert about["runs"][0]["numbers"] == [r"x\u001b[31m\u202e"]
+        assert values_at(ask, 1.0, [0, about["runs"][0]["numbers"][0]]) == [2.0]
 
 
 @pytest.mark.parametrize(

@@ -21,10 +21,10 @@ from cosim.blocks.summary import experiment_of, platforms_of, read_fmus
 from cosim.core.drafts import draft_of
 from cosim.core.errors import Fault, InputError
 from cosim.core.messages import Note
-from cosim.core.text import NOT_IN_YAML, as_yaml, counted, unique_name
+from cosim.core.text import NOT_IN_YAML, as_yaml, unique_name
 from cosim.core.times import difference
 from cosim.fmi.description import no_library, platform_of, takes_any_step, unit_of
-from cosim.fmi.sampled import sampled_by
+from cosim.fmi.model_description import sampled_by
 from cosim.scenario.scenario_file import ScenarioFile
 from cosim.scenario.start_values import settable
 from cosim.system.events import default_block
@@ -32,9 +32,6 @@ from cosim.system.system import System, build_system
 
 STOP, STEPS = 1.0, 500  # defaults if the FMUs declare none: duration [s], number of steps
 LONGEST = 24  # characters of a component's name, which precedes every signal
-SPELLING = str.maketrans(
-    {"ä": "ae", "ö": "oe", "ü": "ue", "Ä": "Ae", "Ö": "Oe", "Ü": "Ue", "ß": "ss", "ø": "o", "Ø": "O"}
-)
 MOST_STEPS = 20_000  # maximum number of steps of a first run, so that it is short
 SLACK = 1e-9  # relative tolerance for a whole number of steps
 MAX_PORTS = 6  # inputs and outputs in a message
@@ -78,25 +75,21 @@ class Times:
     own: Mapping[str, float]
     why_duration: str
     why_step: str
-    why_start: str
     notes: tuple[str, ...]
 
 
 def component_name(stem: str, model: str = "") -> str:
     """Return a component name from the file name, or from the model name if the file name is long."""
-    name = _identifier(stem)
-    if len(name) > LONGEST:
-        name = _identifier(model.rpartition(".")[2]) or name
-    if len(name) > LONGEST:
-        whole = name.rfind("_", LONGEST // 2, LONGEST + 1)  # between words
-        name = name[: whole if whole > 0 else LONGEST]
+    names = [_identifier(stem), _identifier(model.rpartition(".")[2])]
+    name = next((name for name in names if 0 < len(name) <= LONGEST), names[0][:LONGEST].rstrip("_"))
     return (f"fmu_{name}" if name[:1].isdigit() else name) or "fmu"
 
 
 def _identifier(text: str) -> str:
     """Return a text as an identifier of ASCII letters, digits and underscores; ä becomes ae."""
-    plain = unicodedata.normalize("NFKD", text.translate(SPELLING))
-    return re.sub(r"[\W_]+", "_", "".join(c for c in plain if not unicodedata.combining(c)), flags=re.ASCII).strip("_")
+    spelled = text.translate(str.maketrans({"ä": "ae", "ö": "oe", "ü": "ue", "ß": "ss"}))
+    ascii_ = unicodedata.normalize("NFKD", spelled).encode("ascii", "ignore").decode()
+    return re.sub(r"[\W_]+", "_", ascii_).strip("_")
 
 
 def parts_of(paths: Sequence[Path], start: Mapping[str, Any] | None = None) -> list[DraftPart]:
@@ -127,8 +120,6 @@ def times_of(
     stop: float | None = None,
     step: float | None = None,
     usual_step: float | None = None,
-    why_stop: str = "given",
-    why_start: str = "",
     most: int = MOST_STEPS,
 ) -> Times:
     """Return start, duration and step of a run.
@@ -139,7 +130,6 @@ def times_of(
     Args:
         start, stop, step: Times [s] in place of those of the FMUs.
         usual_step: Step [s] if neither the user nor an FMU states one.
-        why_stop, why_start: Reasons, for the comments of a draft.
         most: Largest number of steps without a requested stop.
 
     Raises:
@@ -159,7 +149,7 @@ def times_of(
     ends = {name: e["stop"] for name, e in experiments.items() if e.get("stop", start) > start}
     duration, why_duration = STOP, "a guess; no FMU declares a duration"
     if stop is not None:
-        duration, why_duration = difference(stop, start), why_stop
+        duration, why_duration = difference(stop, start), "given"
     elif ends:
         longest = max(ends, key=lambda n: ends[n])
         duration, why_duration = difference(ends[longest], start), f"the default experiment of {longest}"
@@ -200,8 +190,7 @@ def times_of(
             notes.append(Note(f"{text}, after a whole number of steps of {h:g} s ({why_step})"))
             why_duration = f"a whole number of steps; {why_duration}: {duration:g} s"
         duration = whole
-    why_start = why_start or "of the default experiments"
-    return Times(start, duration, h, own, why_duration, why_step, why_start, tuple(notes))
+    return Times(start, duration, h, own, why_duration, why_step, tuple(notes))
 
 
 # -- text of a scenario --------------------------------------------------------------------------------
@@ -235,7 +224,10 @@ def write_draft(path: Path, fmus: Sequence[Path]) -> tuple[Matches, str, list[st
         dropped = tuple((m.target, (text(m.source), *m.others)) for m in every if m not in kept)
         matches = Matches(tuple(m for m in every if m in kept), (*matches.unconnected, *dropped), matches.choices)
     if len(parts) > 1 and not matches.any_candidate:
-        raise InputError.at(fmus[0], _no_fit(fmus, inputs, outputs, sizes))
+        names = " and ".join(path.name for path in fmus)
+        lists = (", ".join(f"{text(p)} [{p[1].unit or p[1].kind}]" for p in s[:MAX_PORTS]) for s in (outputs, inputs))
+        reason = "{} cannot be connected: no output ({}) fits an input of another FMU ({}) by type, unit and size"
+        raise InputError.at(fmus[0], f"{reason.format(names, *lists)}; `cosim simulate` runs each by itself")
     times = times_of(parts)
     algorithm = _algorithm(parts, matches.connections)
     with draft_of(path) as draft:
@@ -257,26 +249,6 @@ def _algorithm(parts: Sequence[DraftPart], matches: Sequence[Match]) -> Algorith
     except AlgebraicLoop:
         return WITHOUT_ORDER
     return DEFAULT
-
-
-def _no_fit(fmus: Sequence[Path], inputs: Sequence[Port], outputs: Sequence[Port], sizes: Mapping[str, int]) -> str:
-    """Return the reason why no output fits any input."""
-    text_ = f"{' and '.join(p.name for p in fmus)} cannot be connected"
-    if not outputs or not inputs:
-        return f"{text_}: they have no {'inputs' if outputs else 'outputs'}; simulate each with `cosim simulate`"
-    lists = []
-    for ports in (outputs, inputs):
-        names = []
-        for port in ports[:MAX_PORTS]:
-            size = sizes.get(text(port))
-            names.append(f"{text(port)} [{port[1].unit or port[1].kind}{f', {size} elements' if size else ''}]")
-        lists.append(", ".join(names))
-    text_ += f": no output ({lists[0]}) fits an input of another FMU ({lists[1]}) by type"
-    element = next((f"{port[0]}.{port[1].name}" for port in (*inputs, *outputs) if text(port) in sizes), None)
-    if element is None:
-        return f"{text_} and unit"
-    cure = f"connect single elements of an array in the scenario, such as {element}"
-    return f"{text_}, unit and number of elements; {cure}"
 
 
 def scenario_text(
@@ -301,17 +273,15 @@ def scenario_text(
         "# docs/scenario.md and `cosim schema scenario` describe all keys.",
     ]
     if guesses:
-        verb_form = "is a guess" if guesses == 1 else "are guesses"
-        lines.append(f"# {counted(guesses, 'connection')} below {verb_form}, marked as a guess: check them first.")
+        lines.append(f"# Guessed connections below, marked as a guess: {guesses}. Check them first.")
     if choices:
-        inputs = f"{counted(choices, 'input')} {'is' if choices == 1 else 'are'} left open"
-        lines.append(f"# {inputs} with several fitting outputs: uncomment the right one.")
+        lines.append(f"# Inputs left open, with several fitting outputs: {choices}. Uncomment the right ones.")
     lines += [
         f"name: {'_'.join(dict.fromkeys(p.name for p in parts))[:60]}",
         f"duration: {times.duration:.12g} # s: {times.why_duration}",
         f"step: {_whole(times.step)} # s: {times.why_step}",
     ]
-    lines += [f"start_time: {_whole(times.start)} # s: {times.why_start}"] if times.start else []
+    lines += [f"start_time: {_whole(times.start)} # s"] if times.start else []
     if algorithm is not DEFAULT:
         lines.append(f"algorithm: {algorithm.name} # algebraic loop between the FMUs; or state `order: [...]`")
     lines.append("components:")

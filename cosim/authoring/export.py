@@ -21,16 +21,10 @@ from cosim.core.units import computed_in
 from cosim.files.files import FilePath, named_path
 from cosim.files.table import read_columns
 from cosim.fmi.description import enumeration_items, ways
-from cosim.fmi.native.signal_source import (
-    CompilerFailed,
-    NoCompiler,
-    SignalChange,
-    TimeSignal,
-    build_gain,
-    build_source,
-)
-from cosim.scenario.scenario import Connection, FixComponent, FmuComponent, PlaybackComponent, ReferenceComponent
-from cosim.scenario.scenario_file import ScenarioFile, take_nearest
+from cosim.fmi.native.compiler import CompilerFailed, NoCompiler
+from cosim.fmi.native.signal_source import SignalChange, TimeSignal, build_gain, build_source
+from cosim.scenario.scenario import FixComponent, FmuComponent, PlaybackComponent, ReferenceComponent
+from cosim.scenario.scenario_file import ScenarioFile
 from cosim.simulation.manifest import check_pinned
 from cosim.simulation.packaged import IMPORTERS
 from cosim.ssp.write import SspConnector, SspFmu, Value, Whole, defined_units, write_ssp
@@ -53,7 +47,6 @@ def export_ssp(
     path: FilePath | None = None,
     overrides: Names = (),
     *,
-    nearest: bool = False,
     insert_gains: bool = False,
 ) -> Exported:
     """Write a scenario as an SSP 1.0 without noise; reference components become FMUs in C.
@@ -62,7 +55,6 @@ def export_ssp(
         scenario: Scenario or manifest.json.
         path: SSP file; None writes NAME.ssp into the current folder.
         overrides: Texts "path=value" that replace values of the scenario.
-        nearest: Use nearest.yaml instead of model.yaml of every refine folder that the scenario names.
         insert_gains: Insert a small FMU in C into each connection with a conversion, for importers that ignore linear
             transformations. Each delays its value by one step.
 
@@ -73,8 +65,6 @@ def export_ssp(
         InputError: Every fault of the scenario, and every essential part that SSP or its importers do not support.
     """
     file = ScenarioFile(Path(scenario), [*overrides, "noise=off"])
-    if nearest:
-        take_nearest(file)
     check_pinned(file)
     system, s = build_system(file), file.scenario
     refuse(_faults(file, system))
@@ -121,11 +111,8 @@ def _notes(file: ScenarioFile, converted: Sequence[str]) -> Iterator[str]:
     """
     scenario = file.scenario
     if converted:
-        yield Note(
-            f"the values of {join_names(converted)} are converted by linear transformations of SSP: libcosim and "
-            "cosim apply "
-            "them, FMPy and ecos ignore them. --insert-gains replaces them by small FMUs"
-        )
+        text = f"the values of {join_names(converted)} are converted by linear transformations of SSP: libcosim and "
+        yield Note(f"{text}cosim apply them, FMPy and ecos ignore them. --insert-gains replaces them by small FMUs")
     if any(connection.noise for connection in scenario.connections):
         yield Note("noise was not exported: SSP cannot store it")
     tolerances = [c.tolerance for c in scenario.components.values() if isinstance(c, FmuComponent)]
@@ -143,60 +130,39 @@ def _notes(file: ScenarioFile, converted: Sequence[str]) -> Iterator[str]:
 
 def _faults(file: ScenarioFile, system: System) -> Iterator[Fault]:
     """Yield a fault for each part of a scenario that SSP or importing tools do not support."""
-    scenario = file.scenario
+    scenario, signals = file.scenario, system.signals
     for key in ("faults", "events"):
         if getattr(scenario, key):
-            yield file.fault(
-                (key,), f"{key} cannot be exported, because SSP cannot store them; remove them, or add --set {key}=[]"
-            )
+            yield file.fault((key,), f"{key} cannot be exported, because SSP cannot store them; add --set {key}=[]")
     for name, component in scenario.components.items():
         where = ("components", name)
         if isinstance(component, FixComponent):
-            yield file.fault(
-                (*where, "block"),
-                "fixes cannot be exported, because SSP cannot store them; connect the signals without this block",
-            )
+            yield file.fault((*where, "block"), "fixes cannot be exported, because SSP cannot store them")
         if not isinstance(component, FmuComponent):
             continue
         if component.step is not None and component.step != scenario.step:
-            yield file.fault(
-                (*where, "step"),
-                (
-                    "this component has its own step, but an SSP has one step for all; set the step of the "
-                    f"scenario to {component.step:g}, or "
-                    "remove it here"
-                ),
-            )
+            text = "this component has its own step, but an SSP has one step for all"
+            yield file.fault((*where, "step"), f"{text}; set that of the scenario to {component.step:g}")
         description = system.fmus[name][1]
         if description.fmiVersion.startswith("3"):
             yield file.fault((*where, "fmu"), "is FMI 3.0; SSP 1.0 and its importers support FMI 1.0 and 2.0")
         elif (component.interface or ways(description)[0]) != "co-simulation":
             yield file.fault(where, "uses model exchange; importers of SSPs support co-simulation only")
     for k, connection in zip(file.places["connections"], scenario.connections, strict=True):
-        for message in _objections(file, system, connection):
-            yield file.fault(("connections", k), message)
-
-
-def _objections(file: ScenarioFile, system: System, connection: Connection) -> Iterator[str]:
-    """Yield reasons why importing tools do not support a connection."""
-    signals, (from_, to) = system.signals, (connection.source, connection.target)
-    if from_ not in signals or to not in signals:
-        yield "SSP 1.0 cannot connect arrays; connect their elements"
-        return
-    source, target = signals[from_], signals[to]
-    for end, signal in ((from_, source), (to, target)):
-        if signal.kind not in {"", *TYPES}:
-            yield f"{end} is {signal.kind}; importers support {', '.join(TYPES)}"
-    if source.kind and target.kind and source.kind != target.kind:
-        text = f"{from_} is {source.kind}, {to} {target.kind}: importers of SSPs convert no types"
-        yield f"{text}; use the same type"
+        ends = [signals.get(end) for end in (connection.source, connection.target)]
+        kinds = [signal.kind for signal in ends if signal is not None]
+        if None in ends:
+            yield file.fault(("connections", k), "SSP 1.0 cannot connect arrays; connect their elements")
+        elif not {*kinds} <= {"", *TYPES} or len({*kinds} - {""}) > 1:
+            text = f"connects {' to '.join(kinds)}; importers connect equal types, of {', '.join(TYPES)}"
+            yield file.fault(("connections", k), text)
 
 
 # -- models ---------------------------------------------------------------------------------------
 
 
 def _model(file: ScenarioFile, name: str, system: System) -> SspFmu:
-    """Return an FMU for the SSP, with its outputs, connected inputs and changed start values."""
+    """Return an FMU for the SSP, with its outputs, connected inputs and start values."""
     block = next(stage.component for stage in system.stages if stage.component.name == name)
     assert isinstance(block, FmuBlock)
     targets = {c.target for c in file.scenario.connections}
@@ -206,17 +172,8 @@ def _model(file: ScenarioFile, name: str, system: System) -> SspFmu:
     start: dict[str, tuple[str, Value]] = {}
     for n, value in block.start_values.items():
         v = variables[n]
-        if v.type == "Enumeration":  # items are exported by name
-            items = {number: item for item, number in enumeration_items(v).items()}
-            start[n] = v.type, items.get(value, str(value))
-            continue
-        is_default = v.start is not None  # the start value of the FMU itself need not be exported
-        if is_default and v.type == "Boolean":
-            is_default = (str(v.start) in {"true", "1", "True"}) == bool(value)
-        elif is_default:
-            is_default = v.start == value if v.type == "String" else float(v.start) == float(value)
-        if not is_default:
-            start[n] = v.type, value
+        items = {number: item for item, number in enumeration_items(v).items()} if v.type == "Enumeration" else {}
+        start[n] = v.type, items.get(value, str(value)) if v.type == "Enumeration" else value
     return SspFmu(name, block.path, ports, start)
 
 

@@ -13,8 +13,6 @@ import numpy as np
 
 from cosim.authoring.draft import (
     SLACK,
-    STEPS,
-    STOP,
     DraftPart,
     parts_of,
     scenario_text,
@@ -37,7 +35,7 @@ from cosim.core.times import difference
 from cosim.core.units import computed_in
 from cosim.files.artefact import LOG
 from cosim.files.files import FilePath, check_writable
-from cosim.files.folders import new_run, results_in
+from cosim.files.folders import results_in
 from cosim.files.kinds import check_given
 from cosim.files.yaml_file import Document, NotYaml, short
 from cosim.logs.log import read_column_names
@@ -101,45 +99,30 @@ def simulate(
     (part,) = parts_of([path], values)
     with ExitStack() as stack:
         stack.enter_context(compiling(compile))
-        folder = stack.enter_context(results_in(out, "cosim simulate", force=force))
-        place = stack.enter_context(new_run(folder, part.name, "cosim simulate", force=force))
+        place = stack.enter_context(results_in(out, "cosim simulate", part.name, force=force))
         scenario, csv = place / "scenario.yaml", None if input is None else Path(input)
         first, matches, notes = experiment_of(description).get("start"), Matches((), ()), list[str]()
-        source, end, more = path, stop, dict[str, Any]()
+        source, end, usual = path, stop, None
         if csv is not None:
             matches, unused, time = _read_recording(csv, part, read_column_names(column_names(columns), csv))
             if unused:
-                notes.append(
-                    Note(f"{csv.name}: {part.name} has no inputs {', '.join(unused)}; these columns are ignored")
-                )
+                text_ = f"{csv.name}: {part.name} has no inputs {', '.join(unused)}; these columns are ignored"
+                notes.append(Note(text_))
             begin, last = float(time[0]), float(time[-1])
-            declared, first = first, begin if first is None else max(first, begin)
+            first = begin if first is None else max(first, begin)
             source, end = csv, last if stop is None else stop
-            if first > begin:
-                notes.append(
-                    Note(
-                        f"{csv.name}: begins at {begin:g} s, but the run at {first:g} s, the start time of {part.name}"
-                    )
-                )
-            elif first > (declared or 0.0):
-                notes.append(Note(f"the run begins at {first:g} s, the first time of {csv.name}"))
-            if end > last * (1 + SLACK):
-                notes.append(Note(f"{csv.name}: ends at {last:g} s; its last values are kept until {end:g} s"))
+            if first > begin or end > last * (1 + SLACK):
+                text_ = f"{csv.name}: covers {begin:g} … {last:g} s, the run {first:g} … {end:g} s"
+                notes.append(Note(f"{text_}; after its end, its last values are kept"))
             steps = np.diff(time)
             steps = steps[steps > 0.0]  # Equal times mark a jump.
-            usual = STOP / STEPS
             if steps.size:  # rounded to the digits that the times contain
                 far = float(np.max(np.abs(time)))
                 usual = difference(far + float(np.median(steps)), far) or float(np.median(steps))
-            more = {
-                "usual_step": float(f"{usual:.6g}"),
-                "why_stop": f"the end of {csv.name}" if stop is None else "given",
-                "why_start": f"{csv.name} begins" if first == begin else "",
-            }
         if end is not None and end <= (first or 0.0):
-            text_ = f"the end {end:g} s is before the start {first or 0.0:g} s of the run; give a later --stop"
-            raise InputError.at(source, text_)
-        times = times_of([part], start=first, stop=end, step=step, most=MAX_STEPS, **more)
+            reason = f"the end {end:g} s is before the start {first or 0.0:g} s of the run; give a later --stop"
+            raise InputError.at(source, reason)
+        times = times_of([part], start=first, stop=end, step=step, usual_step=usual, most=MAX_STEPS)
         check_writable(place, (scenario.name,), [path, *([csv] if csv else [])])
         text_ = scenario_text(place, [part], matches, times, DEFAULT, played=(csv, interpolation), verb="simulate")
         names = [n if n.startswith(f"{part.name}.") else f"{part.name}.{n}" for n in record]
@@ -202,14 +185,8 @@ def start_pairs(fmu: Path, texts: Sequence[str], description: Any) -> dict[str, 
     for assignment in texts:
         name, sign, value = split_assignment(assignment, names)
         if not sign or not name:
-            faults.append(
-                Fault(
-                    fmu,
-                    0,
-                    0,
-                    f'--set "{short(assignment)}" does not have the form NAME=VALUE; for example --set mass=2',
-                )
-            )
+            message = f'--set "{short(assignment)}" does not have the form NAME=VALUE; for example --set mass=2'
+            faults.append(Fault(fmu, 0, 0, message))
             continue
         values[name] = value
         if name not in words:

@@ -23,7 +23,7 @@ from cosim.blocks.values import FmuVariables
 from cosim.core.errors import FmuError
 from cosim.fmi.description import Way, declares_slopes, slips_of, ways
 from cosim.fmi.fmi_types import element_names
-from cosim.fmi.sampled import AUTHOR, optional_inputs, sampled_by, traits_of
+from cosim.fmi.model_description import AUTHOR, optional_inputs, sampled_by, traits_of
 from cosim.fmi.state import Memory, Own, own_of, with_memory
 
 POINTER, SIZE = ctypes.c_void_p, ctypes.c_size_t

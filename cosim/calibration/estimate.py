@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,12 +10,11 @@ import numpy as np
 
 from cosim.calibration.fit_record import ChoiceEntry, CombinationEntry, ProfileEntry
 from cosim.calibration.fit_study import Parameter
-from cosim.calibration.identifiability import find_combination, screen
-from cosim.calibration.intervals import Covariance, covariance, profile
+from cosim.calibration.identifiability import Covariance, covariance, find_combination, profile, screen
 from cosim.calibration.likelihood import Likelihood, Logs
-from cosim.core.arrays import Array
+from cosim.core.arrays import Array, NamedValues
 from cosim.core.errors import InputError
-from cosim.logs.channel_noise import noise_level
+from cosim.logs.log import noise_level
 from cosim.residuals.residual_statistics import rmse
 from cosim.residuals.windows import horizons
 
@@ -193,7 +192,7 @@ class Estimate:
             return ""
         logs, point = self.logs, likelihood.best
 
-        def squares(k: int, values: Mapping[str, float]) -> Array:
+        def squares(k: int, values: NamedValues) -> Array:
             """Return the mean square errors over windows of a log; infinite after a failure."""
             table = logs.errors(k, values, horizons(logs.drives[k].log)[-1])
             if table is None:

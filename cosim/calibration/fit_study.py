@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import os
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
@@ -24,12 +23,11 @@ from cosim.files.kinds import kind_of as kind_of_file
 from cosim.files.yaml_file import YamlFile, short
 from cosim.fmi.description import read_description, unit_of
 from cosim.isolation.limits import Limits, read_limits
-from cosim.logs.channel_noise import NORMAL_95
-from cosim.logs.log import Log, read_column_names
+from cosim.logs.log import NORMAL_95, Log, read_column_names
 from cosim.probing.prober import limits_of
 from cosim.refinement.study import FileName, LogLists
-from cosim.residuals.drive import check_files, log_of_fmu, start_values
-from cosim.scenario.start_values import convert_value, kind_of, settable
+from cosim.residuals.drive import log_of_fmu, start_values
+from cosim.scenario.start_values import convert_value, settable
 
 NOT_VARIED = '--vary "{text}" must have the form NAME, NAME=20% or NAME=LOW..HIGH, such as mass=0.3..2'
 
@@ -74,7 +72,6 @@ class Request:
         profile: Parameters whose likelihood is profiled.
         columns: Log column → variable.
         yaml: Study file of the request; None for options.
-        unused: Keys of a study of `cosim refine` that a fit does not use.
     """
 
     fmu: Path
@@ -87,7 +84,6 @@ class Request:
     columns: Mapping[str, str] = field(default_factory=dict)
     limits: Limits = field(default_factory=Limits)
     yaml: YamlFile | None = None
-    unused: Sequence[str] = ()
 
     @property
     def logs(self) -> list[Path]:
@@ -139,15 +135,16 @@ def request_of(
         message = f"is {kind}, which names its FMU, logs and columns; give it without --fmu, --sealed"
         raise InputError.at(path, f"{message} and --column")
     yaml = YamlFile(path)
-    unused = tuple(k for k in yaml.root if kind == STUDY and k not in FitStudyFile.model_fields)
-    content = yaml.validate(FitStudyFile, {k: v for k, v in yaml.root.items() if k not in unused})
+    # a study of `cosim refine` has further keys
+    keys = FitStudyFile.model_fields.keys() if kind == STUDY else yaml.root.keys()
+    content = yaml.validate(FitStudyFile, {k: v for k, v in yaml.root.items() if k in keys})
     if not content.model.lower().endswith(".fmu"):
         message = f"{content.model} is not an FMU; `cosim fit` needs an FMU, `cosim refine` estimates the parameters"
         refuse([yaml.fault(("model",), f"{message} of a model file")])
     return Request(
-        _beside(path, content.model),
-        [_beside(path, name) for name in content.logs.estimation],
-        [_beside(path, name) for name in content.logs.validation],
+        path.parent / content.model,
+        [path.parent / name for name in content.logs.estimation],
+        [path.parent / name for name in content.logs.validation],
         vary or texts(content.vary),
         [*texts(content.start), *start],
         per_log or content.per_log,
@@ -155,16 +152,7 @@ def request_of(
         content.columns,
         most if limits else content.limits or Limits(),
         yaml,
-        unused,
     )
-
-
-def _beside(study: Path, name: str) -> Path:
-    """Return the normalized path of a file named in a study: `a.csv`, not `x/../a.csv`."""
-    path = study.parent / name
-    plain = Path(os.path.normpath(path))
-    # with links, normalization may change the target
-    return plain if path.exists() and plain.exists() and plain.samefile(path) else path
 
 
 # -- what to estimate -----------------------------------------------------------------------------
@@ -243,14 +231,12 @@ def read_input(request: Request) -> FitInput:
         faults.append(request.fault(("logs",), message, Path("LOG")))
     twice = "is given twice; use a log either for the estimate or as a sealed log"
     faults += [request.log_fault(k, twice) for k, p in enumerate(paths) if p in paths[:k]]
-    refuse(faults if yaml is not None and not fmu.exists() else ())
-    for path in existing or [fmu]:
-        attempt(check_files, None, path, fmu)
-    refuse(faults if any(f.file == fmu for f in faults) or {f.file for f in faults} >= {*existing} else ())
-    given = attempt(start_values, {}, fmu, request.start, lambda n, text: request.fault(("start", n), text))
-    parameters: list[Parameter] = attempt(_parameters, [], request, read_description(fmu), given)
+    refuse(faults if not existing or (yaml is not None and not fmu.exists()) else ())
     alone = len(existing) == 1
     logs = [attempt(log_of_fmu, None, path, fmu, request.columns, alone=alone) for path in existing]
+    refuse(faults if any(f.file == fmu for f in faults) or not any(logs) else ())
+    given = attempt(start_values, {}, fmu, request.start, lambda n, text: request.fault(("start", n), text))
+    parameters: list[Parameter] = attempt(_parameters, [], request, read_description(fmu), given)
     varied = {p.name for p in parameters}
     for k, name in enumerate(request.profile if parameters else ()):
         if name not in {p.name for p in parameters if not p.per_log}:
@@ -307,66 +293,41 @@ def _named(request: Request, key: str, description: Any, offered: Mapping[str, P
             if not name:
                 raise ValueError(NOT_VARIED.format(text=short(text)))
             if name not in offered:
-                raise ValueError(_not_offered(name, variables, offered))
+                names = [n for n, p in offered.items() if not p.is_start][:MOST_NAMES]
+                cure = f"name a floating-point parameter, or the start value of a state ({', '.join(names) or 'none'})"
+                raise ValueError(f"{name} cannot be estimated{did_you_mean(name, offered)}; {cure}")
             if name in chosen:
                 raise ValueError(f"{name} is named twice; name it once")
             chosen[name] = p = _bounded(description, variables[name], offered[name], value)
             if not p.low <= p.start <= p.high:
-                raise ValueError(
-                    f"the start value {p.start:g} of {name} is outside {p.low:g} to {p.high:g}; give another --start "
-                    f"{name}=VALUE"
-                )
+                outside = f"the start value {p.start:g} of {name} is outside {p.low:g} to {p.high:g}"
+                raise ValueError(f"{outside}; give another --start {name}=VALUE")
         except ValueError as error:
             faults.append(request.fault((key, name) if key == "vary" else (key,), error.args[0]))
     refuse(faults)
     return chosen
 
 
-def _not_offered(name: str, variables: Mapping[str, Any], offered: Mapping[str, Parameter]) -> str:
-    if name not in variables:
-        return f'the FMU has no variable "{name}"{did_you_mean(name, variables)}'
-    variable = variables[name]
-    kind = "an input" if variable.causality == "input" else kind_of(variable)
-    if variable.type not in REALS or variable.shape:
-        kind = "an array" if variable.type in REALS else f"of type {variable.type}"
-    names = [n for n, p in offered.items() if not p.is_start][:MOST_NAMES]
-    return (
-        f"{name} is {kind}, which cannot be estimated; name a parameter, or the start value of a state "
-        f"({', '.join(names) or 'the FMU has none'})"
-    )
-
-
 def _bounded(description: Any, variable: Any, parameter: Parameter, text: str) -> Parameter:
     """Return the parameter with bounds or prior."""
-    name = parameter.name
+    name, sides = parameter.name, [split_quantity(side) for side in text.split("..")]
     if text in FREE:
         return parameter
-    if text.endswith("%"):
-        share = _number(text.removesuffix("%"))
-        if not 0.0 < share < math.inf:
-            raise ValueError(f"{name}: {short(text)} is not a tolerance; give a percentage above 0, such as 20%")
-        if parameter.start == 0.0:
-            raise ValueError(f"{text} of the start value 0 of {name} is 0; give a range LOW..HIGH")
-        return replace(parameter, tolerance=share / 100.0 * abs(parameter.start))
-    first, _, second = (part.strip() for part in text.partition(".."))
-    if not (first and second):
-        raise ValueError(NOT_VARIED.format(text=short(f"{name}={text}")))
-    unit = (split_quantity(second) or (0.0, ""))[1]
-    ends = []
-    for end in (f"{first} {unit}" if unit and not math.isnan(_number(first)) else first, second):
-        number = _number(end)
-        try:
-            ends.append(float(convert_value(description, variable, end if math.isnan(number) else number)))
-        except ValueError as error:
-            raise ValueError(f"{name}: {short(end)} is not allowed: {error}") from None
-    low, high = ends
+    match sides:
+        case [(share, "%")] if 0.0 < share < math.inf and parameter.start != 0.0:
+            return replace(parameter, tolerance=share / 100.0 * abs(parameter.start))
+        case [(_, "%")]:
+            raise ValueError(
+                f"{name}: {short(text)} is no tolerance; give a percentage above 0 of a start value, or a range"
+            )
+        case [(first, first_unit), (second, unit)]:
+            ends = (first, first_unit or unit), (second, unit)
+        case _:
+            raise ValueError(NOT_VARIED.format(text=short(f"{name}={text}")))
+    try:
+        low, high = (float(convert_value(description, variable, f"{v!r} {u}" if u else v)) for v, u in ends)
+    except ValueError as error:
+        raise ValueError(f"{name}: {short(text)} is not allowed: {error}") from None
     if not low < high:
         raise ValueError(f"{name}: {low:g} is not below {high:g}; give LOW..HIGH with LOW below HIGH")
     return replace(parameter, low=max(low, parameter.low), high=min(high, parameter.high))
-
-
-def _number(text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        return math.nan

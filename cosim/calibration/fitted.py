@@ -63,7 +63,7 @@ class Fitted:
 
     def plot(self) -> Figure:
         """Plot the estimates with their intervals, relative to the values before, with matplotlib."""
-        from cosim.report.figure import new_figure
+        from cosim.report.cell.cell import new_figure
 
         figure = new_figure()
         axes = figure.add_subplot()

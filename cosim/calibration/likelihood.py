@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import count
 from types import MappingProxyType
@@ -18,14 +18,13 @@ from types import MappingProxyType
 import numpy as np
 
 from cosim.calibration.fit_study import Parameter
-from cosim.core.arrays import Array, Flags
+from cosim.core.arrays import Array, Flags, NamedValues
 from cosim.core.errors import SimulationError
 from cosim.residuals.drive import Drive, as_columns
 from cosim.residuals.windows import first_start, free_run, self_started, sigma_of, start_parameters
 
 SMALLEST = 1e-8  # minimum standard deviation of a residual, relative to that of its channel
-STEP, SMALL, TINY = 1e-2, 1e-3, 1e-4  # steps of differences, relative to the scale of an unknown
-ALIKE = 0.02  # relative difference of two slopes up to which the smaller step is used
+STEP = 1e-2  # step of differences, relative to the scale of an unknown, above the rounding of solvers
 ITERATIONS = 40
 # gain of a step in log-likelihood, corresponding to one standard error, after which the next step is negligible
 SETTLED = 0.5
@@ -63,7 +62,7 @@ class Logs:
         self.noise = np.array([np.median([*map(sigma_of, parts)]) for parts in readings])
         self.starts = [start_parameters(drive) for drive in drives]
 
-    def shown_starts(self, values: Mapping[str, float]) -> list[Parameter]:
+    def shown_starts(self, values: NamedValues) -> list[Parameter]:
         """Return the start values that equal outputs, with a first estimate for each log, unless `values` has them."""
         unknowns = []
         for k, (drive, starts) in enumerate(zip(self.drives, self.starts, strict=True)):
@@ -77,7 +76,7 @@ class Logs:
                 unknowns.append(Parameter(name, unit, start, p.low, p.high, None, True, True, k, spread))
         return unknowns
 
-    def errors(self, k: int, values: Mapping[str, float], horizon: float | None = None) -> Array | None:
+    def errors(self, k: int, values: NamedValues, horizon: float | None = None) -> Array | None:
         """Return measured − model for log k, shape (rows, channels), NaN if either is missing; None if the FMU fails.
 
         Args:
@@ -124,7 +123,6 @@ class Likelihood:
 
     Attributes:
         given: Values of further parameters, set in every simulation.
-        steps: Relative step of the differences of each unknown, chosen at the first slopes.
         best: Point with the largest likelihood so far.
         slopes: Derivatives of the residuals by the unknowns, for intervals and identifiability.
     """
@@ -132,14 +130,11 @@ class Likelihood:
     best: Point
     slopes: Jacobian
 
-    def __init__(
-        self, logs: Logs, unknowns: Sequence[Parameter], given: Mapping[str, float] = MappingProxyType({})
-    ) -> None:
+    def __init__(self, logs: Logs, unknowns: Sequence[Parameter], given: NamedValues = MappingProxyType({})) -> None:
         self.logs, self.unknowns, self.given = logs, unknowns, given
         rows = [(u.low, u.high, u.start, u.scale, u.sigma) for u in unknowns]
         self.low, self.high, self.prior, self.scales, sigma = np.array(rows).reshape(-1, 5).T
         self.precision = sigma**-2.0
-        self.steps = np.zeros(len(unknowns))
 
     # -- residuals ----------------------------------------------------------------------------
 
@@ -189,7 +184,6 @@ class Likelihood:
         pairs = [*zip(self.unknowns, self.best.x, kept, strict=True)]
         held = {u.name: float(v) if at is None else at for u, v, k in pairs if not k and u.log is None}
         inner = Likelihood(self.logs, [u for u, _, k in pairs if k], {**self.given, **held})
-        inner.steps = self.steps[kept]
         if at is None:
             inner.best = replace(self.best, x=self.best.x[kept])
         if hasattr(self, "slopes"):
@@ -203,36 +197,16 @@ class Likelihood:
         nothing = np.full(len(self.unknowns), np.nan)
         slopes = [np.where(np.isfinite(t)[..., None], 0.0, nothing) for t in self.best.tables]
         for j, unknown in enumerate(self.unknowns):
-            logs, known = range(len(slopes)) if unknown.log is None else (unknown.log,), dict[int, Array | None]()
-            if not self.steps[j]:  # the effect of a start value is nearly linear
-                self.steps[j], known[logs[0]] = (STEP, None) if unknown.spread else self._choose_step(j, logs[0])
-            for k in logs:
-                column = known.get(k)
-                if column is None:
-                    column = self._slope(j, k, self.steps[j], central and not unknown.spread)
+            for k in range(len(slopes)) if unknown.log is None else (unknown.log,):
+                # the effect of a start value is nearly linear
+                column = self._slope(j, k, central=central and not unknown.spread)
                 if column is not None:
                     slopes[k][..., j] = column
         return slopes
 
-    def _choose_step(self, j: int, k: int) -> tuple[float, Array | None]:
-        """Return a step for the differences of an unknown in log k, and the slope.
-
-        The step is small unless solver rounding is visible.
-        """
-
-        def size(slope: Array) -> float:
-            return float(np.sqrt(np.nansum(slope * slope)))
-
-        large, small = (self._slope(j, k, step) for step in (STEP, SMALL))
-        if large is None or small is None or size(small - large) <= ALIKE * size(large):
-            return SMALL, small
-        tiny = self._slope(j, k, TINY)
-        is_rough = tiny is None or size(tiny - small) >= size(small - large)
-        return (STEP, large) if is_rough else (SMALL, small)
-
-    def _slope(self, j: int, k: int, step: float, central: bool = False) -> Array | None:
+    def _slope(self, j: int, k: int, *, central: bool) -> Array | None:
         """Return the slope of log k's residuals by unknown j; None if the FMU fails on both sides."""
-        size, sides = step * self.scales[j], []
+        size, sides = STEP * self.scales[j], []
         for side in (size, -size):
             moved = self.best.x.copy()
             moved[j] += side

@@ -1,4 +1,4 @@
-"""Outcome of a fit: errors before and after, content of fit.json, and sentences."""
+"""Outcome of a fit: errors before and after, content of fit.json, sentences, and the record of credibility."""
 
 from __future__ import annotations
 
@@ -18,18 +18,23 @@ from cosim.calibration.fit_record import (
     PartErrors,
     Record,
     StartEntry,
-    Status,
     Verdict,
 )
 from cosim.calibration.fit_study import Parameter, Request
-from cosim.core.arrays import Array
+from cosim.calibration.likelihood import Likelihood
+from cosim.core.arrays import Flags, NamedArrays, NamedValues
+from cosim.core.errors import SimulationError
 from cosim.core.text import amount, counted, join_names, plain, size
+from cosim.credibility.bands import LEAST_ROWS, Coverage, Track, band_horizons, bands_of, coverage_of, track_of
+from cosim.credibility.record import Correlations, Credibility, ParameterRecord
+from cosim.estimation.fit import inverse
 from cosim.logs.log import Log
 from cosim.refinement.proof.measure import find_rises
 from cosim.residuals.compare import floors, horizon_name
 from cosim.residuals.drive import Drive
+from cosim.residuals.log_region import log_records, region_of_logs, rows_inside
 from cosim.residuals.residual_statistics import FREE_RUN, finite, pool_errors, remaining_excess
-from cosim.residuals.windows import Replay, free_run, horizons, replays_over
+from cosim.residuals.windows import SKIPPED, Replay, free_run, horizons, replays_over, self_started
 
 CLEAR = 0.95  # ratio of errors below which the model counts as improved
 MOST = 2  # outputs in a headline
@@ -50,34 +55,32 @@ class Part:
     errors: PartErrors
     rises: Sequence[str]
     log: Log
-    before: Mapping[str, Array]
-    after: Mapping[str, Array]
+    before: NamedArrays
+    after: NamedArrays
 
 
-def prove(
-    drives: Sequence[Drive],
-    before: Sequence[Mapping[str, float]],
-    after: Sequence[Mapping[str, float]],
-    horizon: float,
-    *,
-    sealed: bool,
-) -> Part:
+def prove(parameters: Sequence[Parameter], estimate: Estimate, drives: Sequence[Drive], *, sealed: bool) -> Part:
     """Return the errors of a set of logs, by the replays of `cosim replay`, with the values before and after the fit.
 
-    Args:
-        horizon: Horizon of the noise floor of the fitted model; FREE_RUN for free runs.
+    Sealed logs take the mean of values per log.
     """
-    logs, sides, squares = [d.log for d in drives], list[list[Mapping[float, Replay]]](), dict[str, list[float]]()
-    for every in (before, after):
-        sides.append([])
-        for drive, values in zip(drives, every, strict=True):
+    assert estimate.likelihood is not None
+    likelihood, horizon = estimate.likelihood, estimate.logs.horizon or FREE_RUN
+    varied, before = {p.name for p in parameters}, {p.name: p.start for p in parameters if not p.is_start}
+    every = [likelihood.values(likelihood.best.x, k) for k in range(len(estimate.logs.drives))]
+    after = [{n: v for n, v in each.items() if n in varied} for each in every]
+    if sealed:
+        after = [{n: float(np.mean([each[n] for each in after])) for n in after[0]}] * len(drives)
+    logs, squares = [d.log for d in drives], dict[str, list[float]]()
+    sides: tuple[list[Mapping[float, Replay]], list[Mapping[float, Replay]]] = [], []
+    for drive, fitted in zip(drives, after, strict=True):
+        for side, values in zip(sides, (before, fitted), strict=True):
             moved = drive.with_values(values)
             free = free_run(moved)
             replays = replays_over(moved, free, horizons(moved.log)[-1:])
-            sides[-1].append(replays)
-            if every is after:
-                for name, floor in floors(moved, free, replays.get(horizon, free)).items():
-                    squares.setdefault(name, []).extend([floor.rmse**2] if math.isfinite(floor.rmse) else [])
+            side.append(replays)
+            for name, floor in floors(moved, free, replays.get(horizon, free)).items() if values is fitted else ():
+                squares.setdefault(name, []).extend([floor.rmse**2] if math.isfinite(floor.rmse) else [])
     common = set.intersection(*(set(replays) for side in sides for replays in side))
     horizon = horizon if horizon in common else FREE_RUN
     errors = {}  # horizon → channel → root mean square error before and after, pooled over the logs
@@ -104,15 +107,6 @@ def prove(
     return Part(sealed, part, rises, logs[-1], *(side[-1][1].outputs for side in shown))
 
 
-def _verdict(part: Part) -> Verdict:
-    """Return the verdict from the geometric mean, over the channels, of the ratio of errors after/before."""
-    ratios = [c.after / c.before for c in part.errors.channels.values() if c.before and c.after]
-    ratio = math.exp(float(np.mean(np.log(ratios)))) if ratios else math.nan
-    if ratio > 1.0 / CLEAR or part.rises:
-        return "worse"
-    return "improved" if ratio < CLEAR else "unchanged"
-
-
 def write_record(
     request: Request, estimate: Estimate, parts: Sequence[Part], given: Mapping[str, Any], seconds: float
 ) -> Record:
@@ -128,45 +122,47 @@ def write_record(
     alone = {n for c in estimate.combinations for n in c.names}
     parameters, starts, per_log = dict[str, ParameterEntry](), list[StartEntry](), list[LogEntry]()
 
-    def add(p: Parameter, value: float, status: Status, ci95: tuple[float, float] | None = None) -> None:
-        parameters[p.name] = ParameterEntry(
-            value=value,
-            unit=p.unit,
-            start=p.start,
-            low=finite(p.low),
-            high=finite(p.high),
-            tolerance=p.tolerance,
-            ci95=ci95,
-            status=status,
-            profile=estimate.profiles.get(p.name),
-        )
-
     halves = np.full(len(unknowns), np.nan) if spread is None else spread.halves
-    for p, value, half in zip(unknowns, point.x.tolist(), halves.tolist(), strict=True):
-        ci95 = (value - half, value + half) if math.isfinite(half) else None
-        if p.log is None:
-            at_bound = value in (p.low, p.high)
-            add(p, value, "at_bound" if at_bound else "estimated", None if p.name in alone else ci95)
+    held = [(p, p.start, math.nan) for p in estimate.held.values()]
+    for k, (p, value, half) in enumerate([*zip(unknowns, point.x.tolist(), halves.tolist(), strict=True), *held]):
+        is_held, ci95 = k >= len(unknowns), (value - half, value + half) if math.isfinite(half) else None
+        common: dict[str, Any] = {"value": value, "unit": p.unit}
+        if p.log is None or is_held:
+            parameters[p.name] = ParameterEntry(
+                **common,
+                start=p.start,
+                low=finite(p.low),
+                high=finite(p.high),
+                tolerance=p.tolerance,
+                ci95=None if p.name in alone else ci95,
+                status="held" if is_held else "at_bound" if value in (p.low, p.high) else "estimated",
+                profile=estimate.profiles.get(p.name),
+            )
             continue
-        entry = LogEntry(log=str(logs.drives[p.log].log.path), name=p.name, value=value, unit=p.unit, ci95=ci95)
+        common |= {"log": str(logs.drives[p.log].log.path), "name": p.name, "ci95": ci95}
         if p.is_start:
-            starts.append(StartEntry(**dict(entry), named=not p.spread))
+            starts.append(StartEntry(**common, named=not p.spread))
         else:
-            per_log.append(entry)
-    for p in estimate.held.values():
-        add(p, p.start, "held")
+            per_log.append(LogEntry(**common))
     correlation, colour = None, np.full(len(logs.channels), np.nan)
     if spread is not None:
         shared, colour = [u.log is None for u in unknowns], spread.colour
         matrix = spread.matrix[np.ix_(shared, shared)]
         roots = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
         correlation = np.clip(matrix / np.outer(roots, roots), -1.0, 1.0).tolist()
+    verdict: Verdict = "stopped"
+    if parts:  # by the geometric mean, over the channels, of the ratio of errors after/before
+        channels = parts[-1].errors.channels.values()
+        logarithms = [math.log(c.after / c.before) for c in channels if c.before and c.after]
+        ratio = math.exp(float(np.mean(logarithms))) if logarithms else math.nan
+        verdict = "improved" if ratio < CLEAR else "unchanged"
+        verdict = "worse" if ratio > 1.0 / CLEAR or parts[-1].rises else verdict
     noise = zip(logs.channels, point.sigma.tolist(), colour.tolist(), strict=True)
     record = Record(
         fmu=str(request.fmu),
         logs=[str(p) for p in request.estimation],
         sealed=[str(p) for p in request.sealed],
-        verdict=_verdict(parts[-1]) if parts else "stopped",
+        verdict=verdict,
         sentence="",
         windows=logs.horizon,
         windows_reason=estimate.reason,
@@ -201,38 +197,29 @@ def _sentence(record: Record, parts: Sequence[Part]) -> str:
     if not parts:
         return f"The fit was stopped before its proof. The best values so far: {effort}"
     part = parts[-1]  # sealed logs; without them, the logs of the estimate
-    logs = counted(len(record.sealed), "sealed log") if part.sealed else counted(len(record.logs), "log")
-    where = f"On {logs}" if part.sealed else f"On the {logs} of the estimate"
-    horizon = part.errors.horizon
-    error = "free-run error" if horizon is None else f"error over {horizon_name(horizon)}"
+    where = counted(len(record.sealed), "sealed log") if part.sealed else "the logs of the estimate"
+    error = f"error over {horizon_name(part.errors.horizon)}".replace("over free run", "of the free run")
     ratios = {n: c.after / c.before for n, c in part.errors.channels.items() if c.before and c.after}
     worst_or_best = sorted(ratios, key=lambda n: ratios[n], reverse=record.verdict == "worse")[:MOST]
     chosen = {n: part.errors.channels[n] for n in worst_or_best}
     texts = [f"{n} from {size(c.before or 0.0, c.unit)} to {size(c.after or 0.0, c.unit)}" for n, c in chosen.items()]
     change = {"improved": "falls", "worse": "does not decrease"}.get(record.verdict, "hardly changes")
     unproven = " No sealed log confirms it." if record.verdict == "improved" and not part.sealed else ""
-    return f"{where} the {error} {change}: {join_names(texts) or 'there is none'}.{unproven} {effort}"
+    return f"On {where} the {error} {change}: {join_names(texts) or 'there is none'}.{unproven} {effort}"
 
 
 def _warnings(record: Record, estimate: Estimate, parts: Sequence[Part]) -> Iterator[str]:
     """Yield the warnings of a fit."""
     for c in estimate.combinations:
         held = record.parameters[c.held]
-        yield (
-            f"{c.sentence}; {c.held} is fixed at {amount(held.value, held.unit, 4)}, and none of them has an interval"
-        )
+        fixed = f"{c.held} is fixed at {amount(held.value, held.unit, 4)}"
+        yield f"{c.sentence}; {fixed}, and none of them has an interval"
     if estimate.idle:
         yield f"no effect on any measured output of these logs, so the value is unchanged: {join_names(estimate.idle)}"
     for name, entry in record.parameters.items():
         if entry.status == "at_bound":
-            yield (
-                f"{name} ends at its bound {amount(entry.value, entry.unit, 4)}: its interval ignores the bound, "
-                "and the bound may be wrong"
-            )
-        elif entry.ci95 is not None and entry.ci95[1] - entry.ci95[0] > abs(entry.start) > 0.0:
-            yield (
-                f"{name} is barely determined by these logs: its 95 % interval is wider than its value before the fit"
-            )
+            end = f"its bound {amount(entry.value, entry.unit, 4)}"
+            yield f"{name} ends at {end}: its interval ignores the bound, and the bound may be wrong"
     if estimate.covariance is not None and not estimate.settled:
         yield "the estimate did not converge: the likelihood is not smooth, and the intervals are unreliable"
     if estimate.logs.first_failure is not None:
@@ -240,14 +227,112 @@ def _warnings(record: Record, estimate: Estimate, parts: Sequence[Part]) -> Iter
         shown = ", ".join(f"{n} = {plain(v, 4)}" for n, v in values.items() if n in record.parameters)
         count = f"{record.failed_simulations} of {record.simulations}"
         yield f"{count} simulations failed and were rejected, first at {shown}: {error}"
-    if unprofiled := [name for name, found in estimate.profiles.items() if found is None]:
-        yield f"no profile of {join_names(unprofiled)}, which these logs do not determine alone"
     if estimate.dropped:
         yield f"windows have their own start values, so {join_names(estimate.dropped)} is not estimated"
     if parts and (risen := parts[-1].rises):
         yield f"on sealed logs the error of {join_names(risen)} increases by more than its scatter between parts"
     if estimate.covariance is not None and (names := estimate.above_noise()):
-        yield (
-            f"the error of {join_names(names)} is above the noise and not white: no value of these "
-            "parameters explains it. `cosim refine` searches for effects that the FMU lacks"
-        )
+        error = f"the error of {join_names(names)} is above the noise and not white"
+        cure = "`cosim refine` searches for effects that the FMU lacks"
+        yield f"{error}: no value of these parameters explains it. {cure}"
+
+
+# -- record of credibility, from held-out replays of the logs of the estimate -----------------------
+
+
+Values = NamedValues
+
+
+def credibility_of(
+    record: Record, likelihood: Likelihood, drives: Sequence[Drive], sealed: Sequence[Drive], values: Sequence[Values]
+) -> tuple[Credibility, Coverage | None]:
+    """Return the record of a fitted FMU, and the coverage of its bands on sealed logs.
+
+    Args:
+        drives: Drives of the logs of the estimate.
+        values: Estimates for each of these logs.
+    """
+    logs = [drive.log for drive in drives]
+    shared = {n: float(np.mean([v[n] for v in values])) for n in values[0]}
+    fitted = [drive.with_values(v) for drive, v in zip(drives, values, strict=True)]
+    closed = [drive.with_values(shared) for drive in sealed]
+    free = likelihood.logs.horizon is None
+    span = horizons(logs[0])
+    longest = float(max(log.time[-1] - log.time[0] for log in logs))
+    first = max(span[0], LEAST_ROWS * max(log.step for log in logs))
+    ends = band_horizons([float(log.time[-1] - log.time[0]) - SKIPPED * log.slowness for log in logs], first)
+    spans = {end: end for end in ends} | ({longest: FREE_RUN} if free or not ends else {})
+    held_out = [drive.with_values(_without(likelihood, k, values[k])) for k, drive in enumerate(drives)]
+    tracks = _tracks(held_out, spans)
+    bands = bands_of(tracks, drives[0].units, held_out=len(drives) > 1, free=FREE_RUN in spans.values())
+    nearby = FREE_RUN if free else span[-1]
+    region = region_of_logs(fitted[0], [(d.log, _replay(d, nearby)) for d in fitted])
+    coverage = None
+    if sealed and not bands.reason:
+        inside = rows_inside(region, fitted[0], [(d.log, _replay(d, nearby)) for d in closed])
+        coverage = coverage_of(bands, _tracks(closed, spans, inside))
+    parameters = {
+        n: ParameterRecord(value=p.value, unit=p.unit, ci95=p.ci95)
+        for n, p in record.parameters.items()
+        if p.status != "held"
+    }
+    known = Credibility(
+        command="cosim fit",
+        model=drives[0].description.modelName,
+        verdict=record.verdict,
+        sentence=record.sentence,
+        logs=log_records(logs),
+        sealed=log_records([drive.log for drive in sealed]),
+        parameters=parameters,
+        correlations=Correlations(names=[*parameters], matrix=record.correlation or []),
+        region=region,
+        bands=bands,
+    )
+    return known, coverage
+
+
+def _without(likelihood: Likelihood, k: int, values: Values) -> dict[str, float]:
+    """Return the estimates for log k without that log, by one Gauss-Newton step from the estimate with it.
+
+    With the slopes S and errors e of a log, weighted by the noise, and the precision P of the priors, the step is
+    (Σ S'·S + P)⁻¹·S_k'·e_k, where the sum is over the other logs.
+    """
+    sigma, information = likelihood.best.sigma, np.diag(likelihood.precision)
+    gradient = np.zeros(likelihood.best.x.size)
+    for place, (slope, table) in enumerate(zip(likelihood.slopes, likelihood.best.tables, strict=True)):
+        good = np.isfinite(table)
+        rows = (slope / sigma[:, None])[good]
+        if place == k:
+            gradient = rows.T @ (table / sigma)[good]
+        else:
+            information = information + rows.T @ rows
+    moved = np.clip(likelihood.best.x + inverse(information) @ gradient, likelihood.low, likelihood.high)
+    names = {u.name for u in likelihood.unknowns if u.log is None}
+    changed = {n: v for n, v in likelihood.values(moved, k).items() if n in names}
+    return {**values, **changed} if len(likelihood.slopes) > 1 else dict(values)
+
+
+def _replay(drive: Drive, horizon: float) -> Replay:
+    """Return windows of a horizon, or the free run where there are none."""
+    free = free_run(drive)
+    return (None if horizon == FREE_RUN else self_started(drive, free, horizon)) or free
+
+
+def _tracks(
+    drives: Sequence[Drive], spans: Mapping[float, float], inside: Sequence[Flags] = ()
+) -> dict[float, list[Track]]:
+    """Return end of interval → track of each log; a log on which the FMU fails or allows no windows has none."""
+    tracks: dict[float, list[Track]] = {end: [] for end in spans}
+    for k, drive in enumerate(drives):
+        log = drive.log
+        try:
+            free = free_run(drive)
+            for end, span in spans.items():
+                replay = free if span == FREE_RUN else self_started(drive, free, span)
+                if replay is not None:
+                    rows, errors = sorted(replay.starts), replay.errors(log)
+                    covered = inside[k] if inside else None
+                    tracks[end].append(track_of(log.time, rows, errors, inside=covered, free=span == FREE_RUN))
+        except SimulationError:
+            continue
+    return tracks

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import math
-import shlex
 from collections.abc import Sequence
+from itertools import combinations
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -14,21 +13,11 @@ from cosim.blocks.compiling import permission
 from cosim.calibration.estimate import Estimate
 from cosim.calibration.fit_record import LogEntry, ParameterEntry, Record
 from cosim.calibration.outcome import Part
-from cosim.core.text import (
-    MISSING,
-    counted,
-    displayed,
-    join_names,
-    plain,
-    shown_unit,
-    split_sentence,
-)
-from cosim.core.version import __version__
-from cosim.logs.channel_noise import NORMAL_95
+from cosim.core.text import MISSING, counted, displayed, join_names, plain, shown_unit, split_sentence
+from cosim.logs.log import NORMAL_95
 from cosim.report.charts import Charts, Plot
-from cosim.report.html_tables import Badge, Row
-from cosim.report.panels import Panel, Trace
-from cosim.report.template import render
+from cosim.report.panels import Panel, Trace, signal_panel
+from cosim.report.template import Row, assignments, command, places, render
 from cosim.residuals.compare import horizon_name
 
 TEMPLATE = Path(__file__).with_name("templates") / "fit.html.j2"
@@ -45,67 +34,53 @@ def page(record: Record, estimate: Estimate, parts: Sequence[Part]) -> str:
     if verdict == "improved" and not estimate.settled:  # not counted as success yet
         verdict, tone = "improved, not converged", "warn"
     counts = {"log": len(record.logs), "sealed log": len(record.sealed), "simulation": record.simulations}
-    badges = [Badge(verdict, tone), *(Badge(counted(count, noun)) for noun, count in counts.items())]
-    if record.warnings:
-        badges.append(Badge(counted(len(record.warnings), "warning"), "warn"))
+    warnings = [(counted(len(record.warnings), "warning"), "warn")] if record.warnings else []
     names, matrix = [n for n, p in record.parameters.items() if p.status != "held"], record.correlation or []
-    rows = [(n, [plain(v, 2) for v in row]) for n, row in zip(names, matrix, strict=False)]
     strong = [
-        f"{names[i]} and {names[j]} ({plain(value, 2)})"
-        for i, row in enumerate(matrix)
-        for j, value in enumerate(row[:i])
-        if abs(value) > STRONG
+        f"{names[i]} and {names[j]} ({plain(matrix[i][j], 2)})"
+        for i, j in combinations(range(len(matrix)), 2)
+        if abs(matrix[i][j]) > STRONG
     ]
     way = "free runs" if record.windows is None else f"windows of {record.windows:g} s: {record.windows_reason}"
     failed = f", {record.failed_simulations} failed" if record.failed_simulations else ""
-    provenance = [
-        Row("FMU", record.fmu),
-        Row("Logs of the estimate", "\n".join(record.logs)),
-        Row("Sealed logs", "\n".join(record.sealed) or "none"),
-        Row("Method", f"output-error maximum likelihood, {way}"),
-        Row("Effort", f"{counted(record.simulations, 'simulation')} of a whole log{failed}, {plain(record.seconds)} s"),
-        Row("cosim", __version__),
-    ]
-    proof, plots = parts[-1] if parts else None, list[Plot]()
+    proof, panels = parts[-1] if parts else None, list[Panel]()
     if proof is not None:  # measured, before and after on the last log, the most improved output first
-        log, panels = proof.log, list[Panel]()
-        channels = proof.errors.channels.items()
+        log, channels = proof.log, proof.errors.channels.items()
         ratios = {n: 1.0 if c.after is None or not c.before else c.after / c.before for n, c in channels}
         for name in sorted((n for n in log.outputs if n in ratios), key=lambda n: ratios[n])[:MOST_OUTPUTS]:
-            unit = log.units[name]
-            curves = (
-                (log.outputs[name], "measured", "estimate"),
-                (proof.before[name], "before", "s1"),
-                (proof.after[name], "after", "true"),
-            )
-            traces = [Trace(label, displayed(v, unit), style) for v, label, style in curves]
-            panels.append(Panel(name, shown_unit(unit) or "1", traces))
-        plots = charts.over(log.time).plots(panels)
-    return render(
-        TEMPLATE,
-        {
-            "name": f"Fit of {Path(record.fmu).name}",
-            "headline": headline,
-            "details": details,
-            "tone": tone,
-            "badges": badges,
-            "record": record,
-            "plots": plots,
-            "profiles": [
-                _profile_plot(n, p, charts) for n, p in record.parameters.items() if p.profile and p.profile.values[1:]
-            ],
-            "proof": proof,
-            "parameters": [(n, p, _ruler(p)) for n, p in record.parameters.items()],
-            "correlation": {"columns": names, "rows": rows} if len(matrix) > 1 else None,
-            "strong": join_names(strong),
-            "units": {n: u for d in estimate.logs.drives for n, u in d.log.units.items()},
-            **{f.__name__: f for f in (displayed, horizon_name, interval, number, Path)},
-            "repeat": shlex.join(_repeat(record, estimate)),
-            "provenance": provenance,
-            "data": charts.data(),  # after all drawings
-            "version": __version__,
-        },
-    )
+            lines = ("measured", log.outputs[name], "estimate"), ("before", proof.before[name], "s1")
+            panels.append(signal_panel(name, log.units[name], [*lines, ("after", proof.after[name], "true")]))
+    values = {
+        "name": f"Fit of {Path(record.fmu).name}",
+        "headline": headline,
+        "details": details,
+        "tone": tone,
+        "badges": [(verdict, tone), *(counted(count, noun) for noun, count in counts.items()), *warnings],
+        "record": record,
+        "plots": charts.over(proof.log.time).plots(panels) if proof else [],
+        "profiles": [
+            _profile_plot(n, p, charts) for n, p in record.parameters.items() if p.profile and p.profile.values[1:]
+        ],
+        "proof": proof,
+        "parameters": [(n, p, _places(p)) for n, p in record.parameters.items()],
+        "names": names,
+        "correlation": [(n, [plain(v, 2) for v in row]) for n, row in zip(names, matrix, strict=False)],
+        "strong": join_names(strong),
+        "units": {n: u for d in estimate.logs.drives for n, u in d.log.units.items()},
+        **{f.__name__: f for f in (displayed, horizon_name, interval, number, Path)},
+        "repeat": _repeat(record, estimate),
+        "provenance": [
+            Row("FMU", record.fmu),
+            Row("Logs of the estimate", "\n".join(record.logs)),
+            Row("Sealed logs", "\n".join(record.sealed) or "none"),
+            Row("Method", f"output-error maximum likelihood, {way}"),
+            Row(
+                "Effort",
+                f"{counted(record.simulations, 'simulation')} of a whole log{failed}, {plain(record.seconds)} s",
+            ),
+        ],
+    }
+    return render(TEMPLATE, values, charts)
 
 
 def number(value: float | None) -> float:
@@ -113,12 +88,9 @@ def number(value: float | None) -> float:
     return math.nan if value is None else value
 
 
-def _ruler(p: ParameterEntry) -> dict[str, Any]:
-    """Return the positions of value, start and interval on a ruler around them [%]."""
-    points = np.array([p.value, p.start, *(p.ci95 or ())])
-    margin = 0.1 * float(np.ptp(points)) or 0.1 * abs(p.value) or 1.0
-    at, old, *ends = np.round(100.0 * (points - points.min() + margin) / (np.ptp(points) + 2.0 * margin), 2).tolist()
-    return {"at": at, "old": old, "span": ends and (ends[0], round(ends[1] - ends[0], 2))}
+def _places(p: ParameterEntry) -> dict[str, float]:
+    low, high = p.ci95 or (math.nan, math.nan)
+    return places(dot=p.value, neutral=p.start, low=low, high=high)
 
 
 def _profile_plot(name: str, p: ParameterEntry, charts: Charts) -> Plot:
@@ -147,24 +119,19 @@ def interval(entry: ParameterEntry | LogEntry) -> str:
     return f"{ends} {shown_unit(entry.unit)}".strip()
 
 
-def _repeat(record: Record, estimate: Estimate) -> list[str]:
+def _repeat(record: Record, estimate: Estimate) -> str:
     """Return the command that repeats the fit."""
-    words = ["cosim", "fit", *record.logs, "--fmu", record.fmu]
+    vary = []
     for name, p in record.parameters.items():
-        value = name
-        if p.tolerance is not None:
-            value = f"{name}={100.0 * p.tolerance / abs(p.start):g}%"
-        elif p.low is not None and p.high is not None:
-            value = f"{name}={p.low!r}..{p.high!r}"
-        words += ["--vary", value]
-    for name, given in record.given.items():
-        words += ["--start", f"{name}={str(given).lower() if isinstance(given, bool) else given}"]
-    for path in record.sealed:
-        words += ["--sealed", path]
-    for name in dict.fromkeys(entry.name for entry in record.per_log):
-        words += ["--per-log", name]
-    for name in estimate.profiles:
-        words += ["--profile", name]
-    for column, name in {c: n for d in estimate.logs.drives for c, n in d.log.called.items()}.items():
-        words += ["--column", f"{column}={name}"]
-    return [*words, *(["--compile"] if permission.get() else [])]
+        prior = "" if p.tolerance is None else f"={100.0 * p.tolerance / abs(p.start):g}%"
+        vary.append(name + (prior or ("" if p.low is None or p.high is None else f"={p.low!r}..{p.high!r}")))
+    options = {
+        "--vary": vary,
+        "--start": assignments(record.given),
+        "--sealed": record.sealed,
+        "--per-log": dict.fromkeys(entry.name for entry in record.per_log),
+        "--profile": estimate.profiles,
+        "--column": assignments({c: n for d in estimate.logs.drives for c, n in d.log.called.items()}),
+    }
+    text = command("cosim", "fit", *record.logs, "--fmu", record.fmu, options=options)
+    return f"{text} --compile" if permission.get() else text

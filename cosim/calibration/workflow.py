@@ -15,12 +15,11 @@ from typing import Any
 import numpy as np
 
 from cosim.blocks.compiling import compiling, permission
-from cosim.calibration.credibility import credibility_of
 from cosim.calibration.estimate import Estimate
-from cosim.calibration.fit_study import FitInput, Parameter, Request, read_input, request_of
+from cosim.calibration.fit_study import FitInput, Request, read_input, request_of
 from cosim.calibration.fitted import Fitted
 from cosim.calibration.likelihood import Logs, OutOfTime
-from cosim.calibration.outcome import Part, prove, write_record
+from cosim.calibration.outcome import Part, credibility_of, prove, write_record
 from cosim.core.drafts import draft_of
 from cosim.core.errors import FmuError, InputError, SimulationError, Terminated, TimedOut, refuse, stop_error
 from cosim.core.messages import Note
@@ -36,11 +35,9 @@ from cosim.fmi.native.compiler import CompilerFailed, NoCompiler
 from cosim.fmi.wrapping.wrap import CannotWrap, parsed, set_starts, wrap, xml_of
 from cosim.isolation.process import Worker
 from cosim.logs.gate import gate, gate_faults
-from cosim.logs.log import Log
 from cosim.probing.places import probe_own_step
 from cosim.probing.prober import LIMITS
-from cosim.residuals.drive import MODULES, Drive, DriveApart
-from cosim.residuals.residual_statistics import FREE_RUN
+from cosim.residuals.drive import MODULES, Drive, DriveApart, drive_in
 from cosim.ssp.write import write_parameter_set
 from cosim.terms.code import TermCode
 
@@ -116,7 +113,8 @@ def fit(
         ExitStack() as stack,
     ):
         place, given = named_path(folder), read_input(request)
-        display = display_units([read_description(path)])
+        described = read_description(path)
+        display = display_units([described])
         stack.enter_context(showing({"display": display}))
         files = [*request.logs, path, *([request.yaml.path] if request.yaml else [])]
         check_writable(place, FILES, files)
@@ -125,13 +123,8 @@ def fit(
             _refuse_own_step(request, given)
         worker = None if in_process else stack.enter_context(Worker(*MODULES))
         inner = most.model_copy(update={"total": None, "step": most.step or most.total})
-
-        def load(log: Log, file: Path = path) -> AbstractContextManager[Drive]:
-            if worker is None:
-                return Drive(log, file, given=given.fixed)
-            return DriveApart(worker, log, file, limits=inner, given=given.fixed)
-
-        drives = [stack.enter_context(load(log)) for log in given.logs]
+        load = partial(drive_in, worker, limits=inner, given=given.fixed)
+        drives = [stack.enter_context(load(log, path)) for log in given.logs]
         _refuse_bad(drives)
         opened, closed = drives[: len(request.estimation)], drives[len(request.estimation) :]
         estimate, parts = Estimate(Logs(opened, begin + (most.total or np.inf)), progress), list[Part]()
@@ -141,7 +134,8 @@ def fit(
             estimate.run(given.parameters, screening=not request.vary, profiled=request.profile)
             stage = "the proof"
             progress("replaying with the values before and after the fit", 0.0)
-            parts = _proof(given.parameters, estimate, opened, closed)
+            parts = [prove(given.parameters, estimate, opened, sealed=False)]
+            parts += [prove(given.parameters, estimate, closed, sealed=True)] if closed else []
         except OutOfTime:
             reached = f"the limit of {most.total:g} s (limits: total) is reached"
             stop = TimedOut("the fit", 0.0, f"{reached}; the best values so far are written, without final check")
@@ -157,19 +151,20 @@ def fit(
         record = write_record(request, estimate, parts, given.fixed, time.monotonic() - begin)
         record.display = display
         record.notes += [f"{log.path.name}: {text}" for log in given.logs for text in log.assumed]
-        if request.unused:
-            unused = f"`cosim fit` ignores {join_names(request.unused)}; only `cosim refine` uses them"
-            record.warnings.insert(0, unused)
         remove_earlier(place, read=files)
         values = {name: entry.value for name, entry in record.parameters.items()}
         likelihood, x = estimate.likelihood, estimate.likelihood.best.x
         if len(opened) == 1:  # named start values of a single log may be start values of the fitted FMU
             each = zip(likelihood.unknowns, x.tolist(), strict=True)
             values |= {u.name: v for u, v in each if u.log is not None and not u.spread}
-        _write_parameters(request, {n: v for n, v in given.fixed.items() if isinstance(v, float)} | values, place)
+        all_values = {n: v for n, v in given.fixed.items() if isinstance(v, float)} | values
+        units = {v.name: unit_of(v) for v in described.modelVariables if v.name in all_values}
+        definitions = {u: d for u in set(units.values()) if (d := unit_definition(described, u)) is not None}
+        pairs = {n: (v, units[n]) for n, v in all_values.items()}
+        write_parameter_set(place / "fitted.ssv", f"{path.stem}-fitted", pairs, definitions)
         if stop is None and values:
             start = {n: v for n, v in likelihood.values(x, 0).items() if n not in values}
-            way, reason = deliver(drives[0], values, start, place / "fitted.fmu", partial(load, given.logs[0]))
+            way, reason = deliver(drives[0], values, start, place / "fitted.fmu", partial(load, drives[0].log))
             if way == "wrapped":
                 record.notes.append(f"fitted.fmu contains the FMU in a wrapper that sets the values: {reason}")
             elif not way:
@@ -196,34 +191,6 @@ def fit(
         stop.left = place
         raise stop
     return Fitted(content, None if out is None else folder, (*record.warnings, *map(Note, record.notes)))
-
-
-def _proof(
-    parameters: Sequence[Parameter], estimate: Estimate, opened: Sequence[Drive], closed: Sequence[Drive]
-) -> list[Part]:
-    """Return the errors on the logs of the estimate, and on sealed logs.
-
-    Values per log are replaced by their mean there.
-    """
-    assert estimate.likelihood is not None
-    likelihood, horizon = estimate.likelihood, estimate.logs.horizon or FREE_RUN
-    varied, first = {p.name for p in parameters}, {p.name: p.start for p in parameters if not p.is_start}
-    every = [likelihood.values(likelihood.best.x, k) for k in range(len(opened))]
-    own = [{n: v for n, v in each.items() if n in varied} for each in every]
-    parts = [prove(opened, [first] * len(opened), own, horizon, sealed=False)]
-    if closed:
-        mean = {n: float(np.mean([each[n] for each in own])) for n in own[0]}
-        parts.append(prove(closed, [first] * len(closed), [mean] * len(closed), horizon, sealed=True))
-    return parts
-
-
-def _write_parameters(request: Request, values: Mapping[str, float], folder: Path) -> None:
-    """Write values as an SSP parameter set with units."""
-    described = read_description(request.fmu)
-    units = {v.name: unit_of(v) for v in described.modelVariables}
-    definitions = {u: d for u in {units[n] for n in values} if (d := unit_definition(described, u)) is not None}
-    pairs = {n: (v, units[n]) for n, v in values.items()}
-    write_parameter_set(folder / "fitted.ssv", f"{request.fmu.stem}-fitted", pairs, definitions)
 
 
 def check_fit_study(path: Path, checking: Checking) -> list[str]:

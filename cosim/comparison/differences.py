@@ -299,6 +299,8 @@ class Compared:
             "within": self.same if self.judged else None,
             "reasons": self.reasons if self.judged else None,
             "shorter": self.shorter or None,
+            "only_a": list(self.only_a),
+            "only_b": list(self.only_b),
         }
 
 
@@ -327,59 +329,59 @@ def compare_runs(a: RecordedRun, b: RecordedRun, tolerance: float | None = None,
     if not time.size:
         spans = [f"{t[0]:g} … {t[-1]:g} s" if t.size else "no rows" for t in (a.results.time, b.results.time)]
         raise InputError.at(b.path, f"has no time in common with {a.path}: {spans[1]} here, {spans[0]} there")
-    has_tolerance = tolerance is not None
-    of_a, of_b = a.results, b.results
+    of_a, of_b, has_tolerance = a.results, b.results, tolerance is not None
     values: dict[str, tuple[Array, Array]] = {}
-    between = jumps = held = None
+    differences, held, apart = list[Difference](), None, None
     if not aligned:
         close = min(map(time_tolerance, (of_a.time, of_b.time)))
-        held = surroundings(of_a.time, of_b.time, close), surroundings(of_b.time, of_a.time, close)
-        between, jumps = held[0].only(), held[1].only(jumps=True)
-
-    def difference(name: str) -> Difference:
+        theirs, ours = surroundings(of_a.time, of_b.time, close), surroundings(of_b.time, of_a.time, close)
+        held = theirs, ours
+        apart = theirs.only(), ours.only(jumps=True)
+    for name in common:
         if not all(name in r and not (name in r.exact and is_rounded(r[name])) for r in (of_a, of_b)):
-            return compare_text(a, b, name, rows, held, has_tolerance=has_tolerance)
-        unit, other = of_a.units.get(name, ""), of_b.units.get(name, "")
-        by = unit_conversion(b, a, name)
+            differences.append(compare_text(a, b, name, rows, held, has_tolerance=has_tolerance))
+            continue
+        unit, other, by = of_a.units.get(name, ""), of_b.units.get(name, ""), unit_conversion(b, a, name)
         if by is None:
             note, far = f"{unit} in one run, {other} in the other", math.inf
-            return Difference(name, unit, far, float(time[0]), far, 1.0, far, has_tolerance, note, alike=False)
+            sizes = far, float(time[0]), far, 1.0, far
+            differences.append(Difference(name, unit, *sizes, has_tolerance, note, alike=False))
+            continue
         first, second = of_a[name], of_b[name] if by == Conversion() else by.factor * of_b[name] + by.offset
-        around = between
-        if held is None or jumps is None:
+        around = None
+        if held is None or apart is None:
             at_times = second[: time.size]
         elif is_held(a, b, name):
-            around, theirs = held
-            at_times = theirs.nearest(second, first)[rows]
+            around, at_times = held[0], held[1].nearest(second, first)[rows]
         else:
+            around, jumps = apart
             at_jumps = np.isin(np.arange(of_a.time.size)[rows], jumps.rows)
             at_times = np.interp(time, of_b.time, second)
             at_times = np.where(at_jumps, jumps.nearest(second, first)[rows], at_times)
         values[name] = first[rows], at_times
         found = compare_numbers(name, unit or other, time, values[name], by)
-        found = replace(found, note=unit_note(unit, other, found, by))
+        notes = [unit_note(unit, other, found, by)]
         if found.largest and (half := bands_of_run(a.manifest, name, time)) is not None:
-            gaps = np.abs(values[name][1] - values[name][0])[np.isfinite(half)]
+            gaps = np.abs(at_times - first[rows])[np.isfinite(half)]
             beyond_band = float(np.mean(gaps > half[np.isfinite(half)])) if gaps.size else 0.0
-            found = replace(found, note="; ".join(filter(None, [found.note, BAND.format(percent(beyond_band))])))
+            notes.append(BAND.format(percent(beyond_band)))
         if around is not None:
             outside, at = around.outside(first, second)  # distance of intermediate rows of b from the range of a
             if outside > max(found.largest, ROUNDING * found.scale):
-                note = "; ".join(filter(None, [found.note, BETWEEN]))
-                found = replace(found, largest=outside, at=at, share=outside / found.scale, note=note)
+                found = replace(found, largest=outside, at=at, share=outside / found.scale)
+                notes.append(BETWEEN)
         is_beyond = tolerance is not None and not found.largest <= absolute + tolerance * found.scale  # also of NaN
-        return replace(found, beyond=is_beyond)
-
+        differences.append(replace(found, beyond=is_beyond, note="; ".join(filter(None, notes))))
     step = float(np.max(np.diff(of_a.time))) if of_a.time.size > 1 else 0.0
     ends = []
     for verb, row in (("begins", 0), ("ends", -1)):
-        at = [float(r.time[row]) for r in (of_a, of_b)]
-        if abs(at[0] - at[1]) > rounding(max(map(abs, at)), 1e3 * step):
-            earlier, later = (a.path, b.path) if at[0] < at[1] else (b.path, a.path)
-            ends.append(f"{earlier} {verb} at {min(at):.6g} s, {later} at {max(at):.6g} s")
-    differences = tuple(map(difference, common))
+        at, then = float(of_a.time[row]), float(of_b.time[row])
+        if abs(at - then) > rounding(max(abs(at), abs(then)), 1e3 * step):
+            earlier, later = (a.path, b.path) if at < then else (b.path, a.path)
+            ends.append(f"{earlier} {verb} at {min(at, then):.6g} s, {later} at {max(at, then):.6g} s")
     only_a, only_b = tuple(n for n in in_a if n not in in_b), tuple(n for n in in_b if n not in in_a)
-    return Compared(a, b, differences, only_a, only_b, time, values, aligned, "; ".join(ends), tolerance, absolute)
+    shorter = "; ".join(ends)
+    return Compared(a, b, tuple(differences), only_a, only_b, time, values, aligned, shorter, tolerance, absolute)
 
 
 def unit_conversion(of: RecordedRun, to: RecordedRun, name: str) -> Conversion | None:
@@ -420,11 +422,6 @@ def criterion_title(outcome: Mapping[str, Any]) -> str:
     """Return a criterion without its limit as text: `settling time of plant.x band 0.02`."""
     title = f"{str(outcome.get('kind', '?')).replace('_', ' ')} of {outcome.get('of', '?')}"
     return title + "".join(f" {w} {outcome[w]}" for w in ("to", "band", "after", "until") if outcome.get(w))
-
-
-def is_one_run(a: RecordedRun, b: RecordedRun) -> bool:
-    """Return True if both runs were read from the same path."""
-    return a.path.exists() and a.path.resolve() == b.path.resolve()
 
 
 def describe_largest(d: Difference) -> str:

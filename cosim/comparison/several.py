@@ -6,7 +6,8 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import lru_cache, partial
+from functools import cached_property, lru_cache, partial
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -22,12 +23,11 @@ from cosim.comparison.differences import (
     describe_largest,
     format_share,
     format_size,
-    is_one_run,
 )
 from cosim.core.arrays import Array, far_beyond
 from cosim.core.errors import Fault, FmuError, InputError, refuse
 from cosim.core.extras import pandas_for_frames
-from cosim.core.text import counted, join_names, showing
+from cosim.core.text import MISSING, counted, join_names, showing
 from cosim.files.files import FilePath, check_writable, write_json, write_text
 from cosim.files.folders import new_run, remove_earlier, replay_record
 from cosim.files.results import Results, is_rounded, rows_in
@@ -47,6 +47,7 @@ MAX_DRAWN = 4  # signals in a figure by default
 MOST_IN_MEMORY = 4  # number of runs above which drawn runs are read twice, to save memory
 NOTHING = Results(np.zeros(0), (), np.zeros((0, 0)))
 FILES = ("comparison.json", "report.html")
+NO_VERDICT: Mapping[str, Any] = {"within": None, "reasons": None, "shorter": None, "only_a": [], "only_b": []}
 LONGEST_NAME, NUMBERED = 80, "run "  # characters of the name of a folder; the beginning of the name of a numbered run
 
 
@@ -80,7 +81,8 @@ class ComparedRuns:
         inputs: Inputs that differ between the runs.
         drawn: Indices of the drawn runs: the baseline and those that differ most.
         time: Times of the baseline [s].
-        values: Signal → values of each drawn run at these times, in the unit of the baseline; NaN without a value.
+        values: Signal → values of each drawn run at these times, in the unit of the baseline; NaN without a value. The
+            signals that differ most come first.
         units: Signal → unit.
         left_out: Reasons why results that a pattern matched are not compared.
     """
@@ -126,37 +128,19 @@ class ComparedRuns:
         """Return the reasons why runs do not match the baseline, as phrases."""
         return [f"{c.b.name}: {reason}" for c in self.comparisons for reason in c.reasons]
 
-    @property
-    def ranking(self) -> list[str]:
-        """Return the signals that the baseline shares with another run, largest share first."""
-        shares: dict[str, float] = {}
-        for comparison in self.comparisons:
-            for d in comparison.differences:
-                shares[d.name] = max(shares.get(d.name, 0.0), d.share)
-        return sorted(shares, key=lambda name: -shares[name])
-
-    @property
+    @cached_property
     def table(self) -> dict[str, list[Difference | None]]:
-        """Return signal → difference of each run, None for the baseline and for runs without the signal."""
-        by_run = {k: {d.name: d for d in c.differences} for k, c in self.by_run.items()}
-        return {name: [by_run.get(k, {}).get(name) for k in range(len(self.runs))] for name in self.ranking}
+        """Return signal → difference of each run, None for the baseline and without the signal; largest share first."""
+        rows: dict[str, list[Difference | None]] = {}
+        for k, comparison in self.by_run.items():
+            for d in comparison.differences:
+                rows.setdefault(d.name, [None] * len(self.runs))[k] = d
+        return dict(sorted(rows.items(), key=lambda row: -max(d.share for d in row[1] if d)))
 
     @property
     def differing(self) -> dict[str, list[Difference | None]]:
         """Return the rows of the table with a difference."""
         return {name: cells for name, cells in self.table.items() if any(d and d.largest for d in cells)}
-
-    @property
-    def equal(self) -> list[str]:
-        """Return the signals without a difference between runs."""
-        differing = self.differing
-        return [name for name in self.table if name not in differing]
-
-    @property
-    def drawable(self) -> list[str]:
-        """Return the signals with curves; signals without differences come last."""
-        equal = {*self.equal}
-        return sorted(self.values, key=lambda name: name in equal)
 
     @property
     def differences(self) -> list[Difference]:
@@ -171,55 +155,40 @@ class ComparedRuns:
     @property
     def summary(self) -> str:
         """Return the outcome in two sentences: criteria and differences."""
-        return " ".join(filter(None, (self.summary_of_criteria, self.summary_of_differences)))
+        return " ".join(filter(None, self.sentences))
 
     @property
-    def summary_of_criteria(self) -> str:
-        """Return a sentence on the runs that meet their criteria, and on the run with the largest margin."""
+    def sentences(self) -> tuple[str, str]:
+        """Return a sentence on the criteria of the runs, "" without any, and one on their differences."""
         entries = [
             [e for outcomes in criteria_of(self.runs).values() if (e := outcomes[k])] for k in range(len(self.runs))
         ]
-        asked = [k for k, own in enumerate(entries) if own]
-        if not asked:
-            return ""
-        met = [self.shorts[k] for k in asked if all(e.get("met") for e in entries[k])]
-        missed = len(asked) - len(met)
-        text = f"{join_names(met) or 'No run'} meet{'' if len(met) > 1 else 's'} all criteria"
-        if met and not missed and len(met) > 1:
-            text = f"{'Both' if len(met) == 2 else f'All {len(met)}'} runs meet all criteria"
-        elif met and missed:
-            text += f", {missed} of {len(asked)} runs do{'es' if missed == 1 else ''} not"
-        shares = {k: max(map(_share_of_limit, entries[k])) for k in asked}
-        best, *others = sorted(asked, key=shares.__getitem__)
-        if len(met) != 1 and others and shares[best] < shares[others[0]]:
-            tightest = max(entries[best], key=_share_of_limit)
-            of_limit = f"{100 * shares[best]:.0f}\u00a0% of its limit"
-            text += f"; {self.shorts[best]} is best: {criterion_title(tightest)} is {of_limit}"
-        return f"{text}."
-
-    @property
-    def summary_of_differences(self) -> str:
-        """Return a sentence on the number of differences and the largest one."""
-        base, count = self.shorts[self.baseline], len(self.comparisons)
-        largest = [(max(c.differences, key=lambda d: d.share), c) for c in self.comparisons]
-        worst, where = max(largest, key=lambda pair: pair[0].share)
-        first, noun = self.comparisons[0], "signal" if count == 1 else "run"
-        if not worst.largest:
-            if count == 1 and is_one_run(*self.runs):
-                return f"This is one run, compared with itself: {counted(len(first.differences), noun)} equal."
-            names = f"{self.shorts[self.others[0]]} equals" if count == 1 else f"All {count} other runs equal"
-            text = f"{names} {base} in every common signal."
-        else:
-            each = first.differences if count == 1 else [d for d, _ in largest]
-            within = [not d.beyond for d in first.differences] if count == 1 else [c.same for c in self.comparisons]
-            number = sum(within) if self.judged else sum(d.largest > 0 for d in each)
-            verb, others = ("match", "matches") if self.judged else ("differ from", "differs from")
-            text = f"{number} of {counted(len(each), noun)} {others if number == 1 else verb} {base}"
-            text += f"{' within the tolerance' if self.judged else ''}; largest: {describe_largest(worst)}"
-            text += "." if count == 1 else f", in {where.b.name}."
-        missing = counted(len(first.only_a), "signal") if count == 1 and first.only_a else ""
-        text += f" {self.shorts[self.others[0]]} lacks {missing} of {base}." if missing else ""
-        return text + (f" {first.shorter}." if count == 1 and first.shorter else "")
+        goals, asked = "", [k for k, own in enumerate(entries) if own]
+        if asked:
+            met = [self.shorts[k] for k in asked if all(e.get("met") for e in entries[k])]
+            goals = f"{len(met)} of {counted(len(asked), 'run')} meet{'s' * (len(met) == 1)} all criteria"
+            goals += f": {join_names(met)}" if 0 < len(met) < len(asked) else ""
+            shares = {k: max(map(_share_of_limit, entries[k])) for k in asked}
+            best, *others = sorted(asked, key=shares.__getitem__)
+            if len(met) != 1 and others and shares[best] < shares[others[0]]:
+                tightest = criterion_title(max(entries[best], key=_share_of_limit))
+                goals += f"; {self.shorts[best]} is best: {tightest} is {100 * shares[best]:.0f}\u00a0% of its limit"
+            goals += "."
+        base, differing = self.shorts[self.baseline], self.differing
+        text = f"{counted(len(self.table), 'signal')} equal {base}."
+        if differing:
+            worst = max((d for c in self.comparisons for d in c.differences), key=lambda d: d.share)
+            where = next(c for c in self.comparisons if worst in c.differences)
+            verb = "exceed the tolerance to" if self.judged else "differ from"
+            count = (
+                sum(any(d and d.beyond for d in row) for row in differing.values()) if self.judged else len(differing)
+            )
+            text = f"{count} of {counted(len(self.table), 'signal')} {verb} {base}; "
+            text += f"largest: {describe_largest(worst)}" + (f", in {where.b.name}." if len(self.runs) > 2 else ".")
+        for k, c in self.by_run.items():
+            text += f" {self.shorts[k]} lacks {counted(len(c.only_a), 'signal')} of {base}." if c.only_a else ""
+            text += f" {c.shorter}." if c.shorter else ""
+        return goals, text
 
     def __repr__(self) -> str:
         rows = self.cells[1:]
@@ -232,7 +201,7 @@ class ComparedRuns:
         from cosim.report.cell.cell import cell_of, rows_to_show
 
         heads, *cells = self.cells
-        drawn = {name: self.values[name] for name in self.drawable[:MAX_DRAWN]}
+        drawn = dict(islice(self.values.items(), MAX_DRAWN))
         rows = rows_to_show([values for curves in drawn.values() for values in curves])
         panels = [p for name, curves in drawn.items() for p in panels_of(self, name, [v[rows] for v in curves])]
         omitted = len(cells) - len(drawn)
@@ -250,9 +219,9 @@ class ComparedRuns:
         from cosim.simulation.report.figures import sheet
 
         for name in names:
-            if name not in self.drawable:
-                raise KeyError(f'no curves for "{name}"{did_you_mean(name, self.drawable)}')
-        shown = names or self.drawable[:MAX_DRAWN]
+            if name not in self.values:
+                raise KeyError(f'no curves for "{name}"{did_you_mean(name, self.values)}')
+        shown = names or [*self.values][:MAX_DRAWN]
         return sheet(self.time, [panel for name in shown for panel in panels_of(self, name, self.values[name])])
 
     @property
@@ -261,20 +230,18 @@ class ComparedRuns:
 
         def text(d: Difference | None) -> str:
             if d is None:
-                return "–"
+                return MISSING
             return f"{format_size(d, d.largest)} ({format_share(d)})" if d.largest else "equal"
 
-        others = self.others
-        rows = ((name, *(text(cells[k]) for k in others)) for name, cells in self.table.items())
-        return [("signal", *(self.labels[k] for k in others)), *rows]
+        rows = ((name, *(text(cells[k]) for k in self.others)) for name, cells in self.table.items())
+        return [("signal", *(self.labels[k] for k in self.others)), *rows]
 
     def to_pandas(self) -> pandas.DataFrame:
         """Return the largest difference of each signal (rows) in each run (columns); raise ImportError without pandas.
 
         Differences are in the unit of the baseline.
         """
-        library = pandas_for_frames()
-        others = self.others
+        library, others = pandas_for_frames(), self.others
         sizes = {n: [d.largest if (d := cells[k]) else math.nan for k in others] for n, cells in self.table.items()}
         labels = [self.labels[k] for k in others]
         frame: pandas.DataFrame = library.DataFrame.from_dict(sizes, orient="index", columns=labels)
@@ -282,8 +249,9 @@ class ComparedRuns:
 
     def as_json(self) -> dict[str, Any]:
         """Return the comparison as plain data; non-finite becomes None."""
-        first = self.comparisons[0]
-        by_run = self.by_run
+        first, by_run = self.comparisons[0], self.by_run
+        verdicts = [c.verdict() if (c := by_run.get(k)) else NO_VERDICT for k in range(len(self.runs))]
+        signals = [(name, [None if d is None else d.as_json() for d in cells]) for name, cells in self.table.items()]
         return {
             "a": str(self.runs[self.baseline].path),
             "b": [str(self.runs[k].path) for k in self.others],
@@ -292,21 +260,12 @@ class ComparedRuns:
             "absolute": first.absolute,
             "within": self.same if self.judged else None,
             "runs": [
-                {
-                    "label": run.name,
-                    "path": str(run.path),
-                    **(c.verdict() if (c := by_run.get(k)) else dict.fromkeys(("within", "reasons", "shorter"))),
-                    "only_a": list(c.only_a if c else ()),
-                    "only_b": list(c.only_b if c else ()),
-                }
-                for k, run in enumerate(self.runs)
+                {"label": run.name, "path": str(run.path), **verdict}
+                for run, verdict in zip(self.runs, verdicts, strict=True)
             ],
             "inputs": [{"kind": i.kind, "name": i.name, "values": list(i.values)} for i in self.inputs],
             "criteria": [{"what": title, "outcomes": outcomes} for title, outcomes in criteria_of(self.runs).items()],
-            "signals": [
-                {"name": name, "differences": [None if d is None else d.as_json() for d in cells]}
-                for name, cells in self.table.items()
-            ],
+            "signals": [{"name": name, "differences": cells} for name, cells in signals],
             "drawn": {"runs": [self.labels[k] for k in self.drawn], "signals": [*self.values]},
         }
 
@@ -340,8 +299,7 @@ def compare_several(
     refuse(faults or ([] if comparisons else left_out))
     kept = sorted([baseline, *comparisons])
     bare = [replace(base, results=NOTHING) if k == baseline else comparisons[k].b for k in kept]
-    place = kept.index(baseline)
-    names = [sources[k].short for k in kept]
+    place, names = kept.index(baseline), [sources[k].short for k in kept]
     shorts = [  # shorten to `run 3`, or `tank` and `tank #2`
         f"{name} #{names[: k + 1].count(name)}" if name in names[:k] else name for k, name in enumerate(names)
     ]
@@ -357,9 +315,8 @@ def compare_several(
     about = tuple(runs.values()), tuple(shorts), place, named, tuple(inputs), tuple(map(kept.index, drawn))
     compared = ComparedRuns(*about, base.results.time, {}, {}, tuple(map(str, left_out)))
     numbers = base.results.with_integers()
-    most = min(MAX_SIGNALS, MAX_CURVES // len(drawn))
-    is_number = {n: n in numbers and not (n in numbers.exact and is_rounded(numbers[n])) for n in compared.ranking}
-    curves: dict[str, list[Array]] = {n: [] for n in [n for n, is_so in is_number.items() if is_so][:most]}
+    drawable = [n for n in compared.table if n in numbers and not (n in numbers.exact and is_rounded(numbers[n]))]
+    curves = {n: list[Array]() for n in drawable[: min(MAX_SIGNALS, MAX_CURVES // len(drawn))]}
     for k in drawn:
         found = compare_runs(base, read(k))
         first = int(np.searchsorted(compared.time, found.time[0]))
@@ -428,22 +385,19 @@ def _sources(sides: Sequence[Any], baseline: Any, results: Path | None) -> tuple
                     found.append(RunSource(s.short, s.path, partial(read, s), s.by_pattern, s.longer))
         return found
 
-    if not sides:
-        raise InputError.at(Path("runs"), "no run is given; give at least two runs to compare")
     sources, place = runs_of(sides), 0
     if baseline is not None:
         base = runs_of([baseline])
         if len(base) != 1:
             raise InputError.at(Path(str(baseline)), f"{len(base)} runs match; give one as the baseline")
         paths, path = [source.path.resolve() for source in sources], base[0].path.resolve()
-        if path not in paths:
-            sources.insert(0, base[0])
-        else:
+        if path in paths:
             place = paths.index(path)
             sources[place] = base[0]
+        else:
+            sources.insert(0, base[0])
     if len(sources) < 2:
-        path = sources[0].path if sources else Path(str(sides[0]))
-        raise InputError.at(path, "is only one run; give at least two runs to compare")
+        raise InputError.at(Path(str(sides[0] if sides else "runs")), "give at least two runs to compare")
     return sources, place
 
 

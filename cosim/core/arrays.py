@@ -12,6 +12,7 @@ Array = NDArray[np.float64]  # of any shape; docstrings name the shape
 Rows = NDArray[np.intp]  # indices into an array
 Flags = NDArray[np.bool_]  # a truth value per element
 NamedValues = Mapping[str, float]  # of parameters, states or signals
+NamedArrays = Mapping[str, Array]  # of signals over the rows of a log
 
 # Results beyond the range of a double become infinite or NaN. Callers judge them, so numpy need not warn.
 far_beyond = np.errstate(over="ignore", invalid="ignore")

@@ -8,12 +8,12 @@ import sys
 import time
 from collections.abc import Callable, Sequence
 from html import escape
-from importlib import import_module
 from typing import Any, ParamSpec, TypeVar
 
 P = ParamSpec("P")
 T = TypeVar("T")
 AFTER, EVERY = 1.0, 0.25  # [s] until the line appears, and between its changes
+WIDTH = 79  # characters of the line
 
 
 def shows_progress(function: Callable[P, T]) -> Callable[P, T]:
@@ -26,33 +26,24 @@ def shows_progress(function: Callable[P, T]) -> Callable[P, T]:
         python = sys.modules.get("IPython")  # a notebook has imported it
         if "progress" in kwargs or python is None or not hasattr(python.get_ipython(), "kernel"):
             return function(*args, **kwargs)
-        start = changed = time.monotonic()
-        line: Any = None
+        start = shown = time.monotonic()
 
         def show(first: Any, second: Any) -> None:
             """Show progress, given as (completed steps, all steps) or (stage, completed share)."""
-            nonlocal changed
+            nonlocal shown
             now = time.monotonic()
-            if now - start >= AFTER and now - changed >= EVERY:
+            if now - start >= AFTER and now - shown >= EVERY:
                 stage, share = (f"{first}, ", second) if isinstance(first, str) else ("", first / max(second, 1))
-                bar = f'<progress max="1" value="{share:.3f}"></progress> ' if share > 0.0 else ""
-                put(f"{stage}{share:.0%}, {now - start:.0f} s", bar)
-                changed = now
-
-        def put(text: str, bar: str = "") -> None:
-            nonlocal line
-            shown = f"{function.__name__}: {text}"
-            content = {"text/plain": shown, "text/html": f"{bar}<small>{escape(shown)}</small>"}
-            if line is None:
-                line = import_module("IPython.display").display(content, raw=True, display_id=True)
-            else:
-                line.update(content, raw=True)
+                print(
+                    f"\r{function.__name__}: {stage}{share:.0%}, {now - start:.0f} s".ljust(WIDTH), end="", flush=True
+                )
+                shown = now
 
         try:
             return function(*args, **{**kwargs, "progress": show})  # type: ignore[arg-type]
         finally:
-            if line is not None:
-                put(f"{time.monotonic() - start:.1f} s")
+            if shown > start:
+                print(f"\r{function.__name__}: {time.monotonic() - start:.1f} s".ljust(WIDTH))
 
     return call
 

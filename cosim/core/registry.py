@@ -62,12 +62,10 @@ class Page:
     Attributes:
         variables: Names of the component's variables.
         subject: Place of a function from (run, drawing) to a `ComponentPage`.
-        figures: Place of a function of (run, folder) that draws PNG files; "" for the default figures of a run.
     """
 
     variables: frozenset[str]
     subject: str
-    figures: str = ""
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ from typing import Annotated, Self
 import numpy as np
 from pydantic import BaseModel, Field, model_validator
 
-from cosim.core.arrays import Array, Flags, Rows
+from cosim.core.arrays import Array, Flags, NamedArrays, Rows
 from cosim.core.text import join_names, percent
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
@@ -59,14 +59,14 @@ class Track:
         inside: True for rows in the region of the logs; None if that is not known.
     """
 
-    errors: Mapping[str, Array]
+    errors: NamedArrays
     ages: Array
     replays: Rows
     inside: Flags | None = None
 
 
 def track_of(
-    time: Array, starts: Sequence[int], errors: Mapping[str, Array], *, inside: Flags | None = None, free: bool = False
+    time: Array, starts: Sequence[int], errors: NamedArrays, *, inside: Flags | None = None, free: bool = False
 ) -> Track:
     """Return the track of replays that begin at the rows `starts`; a start row belongs to the replay before.
 

@@ -4,19 +4,16 @@ from __future__ import annotations
 
 from itertools import islice, pairwise
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from cosim.core.errors import InputError
 from cosim.core.text import amount, counted, plain
-from cosim.core.version import __version__
 from cosim.credibility.record import Credibility, read_credibility
 from cosim.files.files import write_text
 from cosim.report.charts import Charts, Plot
-from cosim.report.html_tables import Badge, Row
 from cosim.report.panels import Panel, Trace, axis_unit
-from cosim.report.template import render
+from cosim.report.template import Row, render
 
 TEMPLATE = Path(__file__).with_name("templates") / "credibility.html.j2"
 MOST_PAIRS = 6  # pairs of coordinates with a chart
@@ -29,40 +26,30 @@ def write_page(fmu: Path) -> Path:
     if record is None:
         cure = "`cosim refine` and `cosim fit` write one into the FMU that they deliver"
         raise InputError.at(fmu, problem or f"has no record of credibility; {cure}")
-    charts, region, bands = Charts(), record.region, record.bands
-    logs = [
-        {"source": log.source, "use": use, "rows": f"{log.rows}", "time": f"{plain(log.duration)} s", "sha": log.sha256}
-        for use, of in (("estimate", record.logs), ("sealed", record.sealed))
-        for log in of
-    ]
-    rows = [
-        {"name": c.name, "kind": c.kind, "low": amount(c.low, c.unit, 4), "high": amount(c.high, c.unit, 4)}
-        for c in region.coordinates
-    ]
-    badges = [Badge(record.verdict), Badge(counted(len(record.logs), "log")), Badge(f"by {record.command}")]
-    values: dict[str, Any] = {
+    charts, region = Charts(), record.region
+    values = {
         "name": f"{record.model} ({fmu.name})",
         "record": record,
         "problem": problem,
-        "badges": badges,
-        "bands": [_band_plot(record, name, charts) for name in bands.widths],
+        "badges": [record.verdict, counted(len(record.logs), "log"), f"by {record.command}"],
+        "bands": [_band_plot(record, name, charts) for name in record.bands.widths],
         "pairs": _pair_plots(record, charts),
-        "coordinates": rows,
+        "coordinates": [
+            (c.name, c.kind, amount(c.low, c.unit, 4), amount(c.high, c.unit, 4)) for c in region.coordinates
+        ],
         "left_out": [Row(name, reason) for name, reason in region.left_out.items()],
         "parameters": [
-            {
-                "name": n,
-                "value": amount(p.value, p.unit, DIGITS),
-                "interval": " … ".join(amount(e, p.unit, DIGITS) for e in p.ci95 or ()),
-            }
+            (n, amount(p.value, p.unit, DIGITS), " … ".join(amount(e, p.unit, DIGITS) for e in p.ci95 or ()))
             for n, p in record.parameters.items()
         ],
-        "logs": logs,
-        "data": charts.data(),  # after all drawings
-        "version": __version__,
+        "logs": [
+            (log.source, use, log.rows, f"{plain(log.duration)} s", log.sha256)
+            for use, of in (("estimate", record.logs), ("sealed", record.sealed))
+            for log in of
+        ],
     }
     path = Path(f"{fmu.stem}-credibility.html")
-    write_text(path, render(TEMPLATE, values))
+    write_text(path, render(TEMPLATE, values, charts))
     return path
 
 
@@ -71,9 +58,8 @@ def _band_plot(record: Credibility, name: str, charts: Charts) -> Plot:
     bands = record.bands
     ends = np.array([0.0, *bands.horizons])
     widths = np.array([np.nan if w is None else w for w in bands.widths[name]])
-    trace = Trace(
-        f"{100 * bands.level:g} % of the errors are smaller", np.append(widths, widths[-1:]), "true", held=True, x=ends
-    )
+    label = f"{100 * bands.level:g} % of the errors are smaller"
+    trace = Trace(label, np.append(widths, widths[-1:]), "true", held=True, x=ends)
     panel = Panel(f"Error of {name}", axis_unit(bands.units.get(name, "")), [trace])
     largest = 1.08 * float(np.nanmax(widths))
     return charts.alone(panel, (0.0, float(ends[-1])), ("time since the start", "s"), reach=(0.0, largest))

@@ -240,8 +240,7 @@ def content_hash(fmu: Path) -> str:
 
 
 def _identity(fmu: Path) -> dict[str, Any]:
-    text = member_of(fmu, IDENTITY)
-    content = json.loads(text) if text else {}
+    content = json.loads(member_of(fmu, IDENTITY) or "{}")
     return content if isinstance(content, dict) else {}
 
 
@@ -282,15 +281,13 @@ def check_signature(fmu: Path, key: Path) -> None:
 
 
 def _key(path: Path, kind: Literal["private", "public"]) -> Any:
-    serialization = optional("cryptography.hazmat.primitives.serialization", str(path))
-    ed25519 = optional("cryptography.hazmat.primitives.asymmetric.ed25519", str(path))
+    serialization, ed25519 = (
+        optional(f"cryptography.hazmat.primitives.{name}", str(path))
+        for name in ("serialization", "asymmetric.ed25519")
+    )
+    password = [None] if kind == "private" else []
     try:
-        data = path.read_bytes()
-        key = (
-            serialization.load_pem_private_key(data, None)
-            if kind == "private"
-            else serialization.load_pem_public_key(data)
-        )
+        key = getattr(serialization, f"load_pem_{kind}_key")(path.read_bytes(), *password)
     except (OSError, ValueError, TypeError) as error:
         raise InputError.at(path, f"is no {kind} key in PEM without a password: {error}") from None
     if not isinstance(key, getattr(ed25519, f"Ed25519{kind.title()}Key")):

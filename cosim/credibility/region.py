@@ -14,7 +14,7 @@ from typing import Annotated, Any, Literal, NamedTuple, Self
 import numpy as np
 from pydantic import BaseModel, Field, model_validator
 
-from cosim.core.arrays import Array, Flags, Rows
+from cosim.core.arrays import Array, Flags, NamedArrays, Rows
 from cosim.credibility.bands import Finite, conformal_quantile
 
 LEVEL = 0.95  # share of the rows of a left-out part within the threshold
@@ -93,7 +93,7 @@ class Stretch(NamedTuple):
     """
 
     time: Array
-    signals: Mapping[str, Array]
+    signals: NamedArrays
     restarts: Sequence[int] = ()
 
 

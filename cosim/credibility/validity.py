@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 
 from cosim.blocks.fmu import FmuBlock
-from cosim.core.arrays import Array
-from cosim.core.text import displayed, percent
+from cosim.core.arrays import Array, NamedArrays
+from cosim.core.text import percent
 from cosim.credibility.record import read_credibility
 from cosim.credibility.region import Stretch, distances
 from cosim.files.results import Results
-from cosim.report.panels import Band, Panel, Trace, axis_unit
+from cosim.report.panels import Panel, signal_panel
 
 Validity = Mapping[str, Any]
 
@@ -36,7 +36,7 @@ def validities(components: Iterable[Any], results: Results) -> dict[str, dict[st
     return found
 
 
-def validity_of(fmu: Path, time: Array, signals: Mapping[str, Array]) -> dict[str, Any]:
+def validity_of(fmu: Path, time: Array, signals: NamedArrays) -> dict[str, Any]:
     """Return the validity of a run of an FMU for its manifest, empty for an FMU without a record.
 
     Args:
@@ -86,7 +86,7 @@ def validity_warnings(validity: Mapping[str, Validity]) -> list[str]:
     return [f"{name}: {entry['problem']}" for name, entry in validity.items() if entry.get("problem")]
 
 
-def output_panels(name: str, entry: Validity, time: Array, outputs: Mapping[str, Array]) -> list[Panel]:
+def output_panels(name: str, entry: Validity, time: Array, outputs: NamedArrays) -> list[Panel]:
     """Return a panel for each output with a band: the output, its band, and the time outside the region.
 
     Args:
@@ -99,9 +99,8 @@ def output_panels(name: str, entry: Validity, time: Array, outputs: Mapping[str,
             continue
         half = band_of(entry, output, time - time[:1])
         unit = str(bands["units"].get(output) or "")
-        band = Band(f"{level} of the errors", displayed(values - half, unit), displayed(values + half, unit))
-        trace = Trace(output, displayed(values, unit), "true")
-        panels.append(Panel(f"{name}.{output}", axis_unit(unit), [trace], band, outside=outside_of(entry)))
+        lines, band = [(output, values, "true")], (f"{level} of the errors", values - half, values + half)
+        panels.append(signal_panel(f"{name}.{output}", unit, lines, band, outside=outside_of(entry)))
     return panels
 
 

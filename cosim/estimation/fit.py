@@ -8,7 +8,8 @@ deficient equation and decreases when the correct term is added.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -18,8 +19,8 @@ from cosim.core.arrays import Array, NamedValues
 from cosim.core.linear_algebra import least_squares, pseudo_inverse
 from cosim.estimation.parallel import in_parallel
 from cosim.estimation.problem import Noise, Problem, Scored
-from cosim.estimation.subject.candidates import Free
-from cosim.logs.channel_noise import NORMAL_95
+from cosim.estimation.subject.candidates import Free, own, spread
+from cosim.logs.log import NORMAL_95
 
 ITERATIONS = 30
 CONVERGED = 0.1  # NLL improvement of the last iteration; an evidence needs no exact optimum
@@ -328,3 +329,57 @@ def _end_of_plateau(problem: Problem, f: Fit, x: Free, limit: float) -> float:
     if furthest == start or rise(furthest) <= 0.0:
         return limit
     return float(brentq(rise, start, furthest, rtol=DIFFERENCE))
+
+
+# Expected values, for groups without an estimate, such as those of held-out and sealed logs
+
+
+def expected_values(f: Fit, besides: str = "") -> dict[str, tuple[float, float]]:
+    """Return parameter with a value per group → mean over groups, and spread for a new group.
+
+    For estimates θ̂ of n groups with scatter s, the spread is t·s·√(1 + 1/n), with Student's t for few groups (95 % of
+    both distributions agree); s is at least the uncertainty of the estimates. A single group has the spread of the
+    prior.
+
+    Args:
+        besides: Group to ignore.
+    """
+    from scipy.special import ndtr, stdtrit
+
+    found = {}
+    for name in dict.fromkeys(x.parameter for x in f.free if x.group):
+        every = [x for x in f.free if x.parameter == name]
+        others = [x for x in every if x.group != besides]
+        mean, width = every[0].prior or (f.values[name], every[0].size)
+        values = [f.values[x.name] for x in others]
+        n = len(values)
+        if n > 1:
+            s = max(float(np.std(values, ddof=1)), float(np.sqrt(np.mean([f.sigma(x.name) ** 2 for x in others]))))
+            width = float(stdtrit(n - 1, ndtr(NORMAL_95))) / NORMAL_95 * s * math.sqrt(1.0 + 1.0 / n)
+        found[name] = float(np.mean(values)) if values else mean, width
+    return found
+
+
+def _start_values(f: Fit, group: str) -> dict[str, float]:
+    """Return the expected values of a group with their spread, from all further groups."""
+    values = expected_values(f, group)
+    return {key(n, group): v for n, pair in values.items() for key, v in zip((own, spread), pair, strict=True)}
+
+
+def fit_for_held_out(problem: Problem, f: Fit, index: int) -> Fit:
+    """Return a fit without a held-out log, completed by expected parameters if the log's group is unknown."""
+    if not problem.own:
+        return f
+    groups = [origin.group for origin in problem.origins]
+    if groups.count(groups[index]) > 1:
+        return f
+    return replace(f, values={**f.values, **_start_values(f, groups[index])})
+
+
+def group_values(f: Fit, groups: Iterable[str]) -> dict[str, float]:
+    """Return fitted or expected parameters of each group."""
+    values: dict[str, float] = {}
+    for group in dict.fromkeys(groups):
+        if all(x.group != group for x in f.free):
+            values |= _start_values(f, group)
+    return values | {x.name: f.values[x.name] for x in f.free if x.group}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -16,7 +16,6 @@ from cosim.core.linear_algebra import pseudo_inverse
 from cosim.estimation.data import UNEVEN, Readings, count_unscored, readings_of, shifted
 from cosim.estimation.kernel.kernel import (
     MEMORY,
-    Begin,
     Data,
     Filtered,
     Inputs,
@@ -24,10 +23,8 @@ from cosim.estimation.kernel.kernel import (
     Layout,
     Simulated,
     filter_all,
-    simulate_all,
 )
-from cosim.estimation.per_log import Origin, own, spread
-from cosim.estimation.subject.candidates import Free
+from cosim.estimation.subject.candidates import Free, own, spread
 
 RANGE_ROWS = 500  # scored rows for the range of the process noise, the same of each log
 UNKNOWN = 1e-4  # share of a first guess of the noise below which no sensor lies
@@ -52,6 +49,14 @@ class Settings:
     tolerance: NamedValues = field(default_factory=dict)
     per_log: tuple[str, ...] = ()
     groups: Mapping[Path, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Origin:
+    """Group of a log, and its states with an initial reading: index of the state → index of the output."""
+
+    group: str
+    initial: Mapping[int, int]
 
 
 @dataclass(frozen=True)
@@ -138,20 +143,39 @@ class Problem:
     def noise(self) -> NoiseRange:
         """Return the search range of process noise, that of the first problem which asks."""
         if not self.ranges:
-            short = self._short()
-
-            def variances(power: Array, longest: bool) -> Array:
-                noise = short.at(power)
-                noise = replace(noise, memory=float(np.log(self.longest_memory))) if longest else noise
-                return short.score(self.values, noise).variances
-
-            found = noise_range(variances, len(self.layout.noisy))
+            found = self._noise_range()
             if self.layout.is_free_run:
                 # the error of a free run is as large as the motion, from row to row far more than the noise
                 fastest = np.maximum(self._largest("spread") / self.values[MEMORY], TINY)
                 found = replace(found, largest=np.maximum(found.largest, 2.0 * np.log(fastest)))
             self.ranges.append(found)
         return self.ranges[0]
+
+    def _noise_range(self) -> NoiseRange:
+        """Return the range of noise power to search.
+
+        The smallest level must be invisible at the longest memory too. Otherwise a fit with a longer memory would gain
+        from an unknown input that should be inactive.
+        """
+        short, count, finite = self._short(), len(self.layout.noisy), np.finfo(float)
+        nothing = np.full(count, GRID[0])
+
+        def levels(marks: Sequence[float], **memory: float) -> Array:
+            def logarithms(power: Array) -> Array:
+                variances = short.score(self.values, replace(short.at(power), **memory)).variances
+                return np.asarray(np.log(np.abs(variances)))  # rounding may give a negative variance
+
+            least, found = logarithms(nothing), np.empty((len(marks), count))
+            for k in range(count):
+                powers = np.where(np.arange(count) == k, GRID[:, None], nothing)
+                rises = np.array([np.mean(logarithms(power) - least) for power in powers])
+                rises = np.nan_to_num(rises, nan=finite.max).clip(finite.tiny, finite.max)
+                found[:, k] = np.interp(np.log(marks), np.log(np.maximum.accumulate(rises)), GRID)
+            return found
+
+        (smallest,) = levels([SMALLEST], memory=float(np.log(self.longest_memory)))
+        quiet, plain, largest = levels([0.5 * PLAIN, PLAIN, LARGEST])
+        return NoiseRange(np.minimum(smallest, quiet), quiet, plain, largest)
 
     def _largest(self, property: str) -> Array:
         """Return a property of the readings of each output, the largest of all logs."""
@@ -414,13 +438,13 @@ class Problem:
         at_once: Any = getattr(self.kernel, "simulate_from", None)  # which a kernel of another object may lack
         if at_once:
             return list(at_once(log, p, points, length))
-        begins = list[Begin]()
+        runs = list[Simulated]()
         back = 2 + math.ceil(p[delay] / log.step if delay >= 0 else 0.0)  # rows of commands that may still be delayed
         for row, state, memory in zip(*points, strict=True):
-            before = min(row, back)
-            begins.append((log.rows(row - before, row + length + 1), p, state, memory, None, before))
-        runs = zip(simulate_all(self.kernel, begins), begins, strict=True)
-        return [Simulated(run.outputs[k:], run.states[k:], run.memory[k:]) for run, (*_, k) in runs]
+            k = min(row, back)
+            run = self.kernel.simulate(log.rows(row - k, row + length + 1), p, state, memory, first=k)
+            runs.append(Simulated(run.outputs[k:], run.states[k:], run.memory[k:]))
+        return runs
 
     def score(self, values: NamedValues, noise: Noise, only: Sequence[int] | None = None) -> Scored:
         """Return innovations and variances of some logs, by default all, one after the other."""
@@ -509,32 +533,3 @@ class NoiseLimits:
         """Return the penalty of the priors on a noise vector: ½ Σ ((v − mean)/sigma)²."""
         has_prior = np.isfinite(self.sigma)
         return float(0.5 * np.sum(((vector[has_prior] - self.mean[has_prior]) / self.sigma[has_prior]) ** 2))
-
-
-def noise_range(variances: Callable[[Array, bool], Array], count: int) -> NoiseRange:
-    """Return the range of noise power to search.
-
-    The smallest level must be invisible at the longest memory too. Otherwise a fit with a longer memory would gain from
-    an unknown input that should be inactive.
-
-    Args:
-        variances: Function from (ln power, whether to use the longest memory) to the innovation variances.
-        count: Number of unknown inputs.
-    """
-    nothing, finite = np.full(count, GRID[0]), np.finfo(float)
-
-    def levels(marks: Sequence[float], *, longest: bool) -> Array:
-        least = np.log(np.abs(variances(nothing, longest)))  # rounding may give a negative variance
-        found = np.empty((len(marks), count))
-        for k in range(count):
-            powers = np.where(np.arange(count) == k, GRID[:, None], nothing)
-            rises = np.array([np.mean(np.log(np.abs(variances(power, longest))) - least) for power in powers])
-            rises = np.nan_to_num(rises, nan=finite.max).clip(finite.tiny, finite.max)
-            found[:, k] = np.interp(np.log(marks), np.log(np.maximum.accumulate(rises)), GRID)
-        return found
-
-    (smallest,), (quiet, plain, largest) = (
-        levels([SMALLEST], longest=True),
-        levels([0.5 * PLAIN, PLAIN, LARGEST], longest=False),
-    )
-    return NoiseRange(np.minimum(smallest, quiet), quiet, plain, largest)

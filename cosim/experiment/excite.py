@@ -180,7 +180,7 @@ def excite(
 
     show_stage = progress or (lambda stage, share: None)
     show_stage("reading the model", 0.0)
-    with new_run(folder, "", "cosim excite", force=force, goes_on=True) as place:
+    with new_run(folder, "", "cosim excite", force=force) as place:
         question = ask(text, against, limits, measured, ranges, duration)
         model = question.loaded.model
         time = _times(text, model.rate, duration)

@@ -3,21 +3,18 @@
 from __future__ import annotations
 
 import math
-import shlex
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from cosim.core.text import counted, displayed, join_names, plain, shown_unit
-from cosim.core.version import __version__
+from cosim.core.text import counted, displayed, join_names, plain
 from cosim.experiment.excite import MAX_RIVALS, Excitation
 from cosim.experiment.question import MIN_SEPARATION
 from cosim.report.charts import Charts
-from cosim.report.html_tables import Badge
-from cosim.report.panels import Panel, Trace, held_panels
-from cosim.report.template import render
+from cosim.report.panels import held_panels, signal_panel
+from cosim.report.template import command, render
 
 TEMPLATE = Path(__file__).with_name("templates") / "excite.html.j2"
 MAX_PAIRS = 30  # pairs in the table, the least separated first
@@ -26,44 +23,37 @@ MAX_OUTPUTS = 12  # with a chart
 
 def page(excitation: Excitation, scenario: Path) -> str:
     """Return the self-contained page of an experiment; `scenario` is the file that plays the input."""
-    question, charts = excitation.question, Charts()
-    seconds = float(excitation.trial.time[-1] - excitation.trial.time[0])
+    question, trial, charts = excitation.question, excitation.trial, Charts()
     model = question.loaded.model
     units = {q.name: q.unit for q in (*model.inputs, *model.outputs)}
-    drawing = charts.over(excitation.trial.time)
-    panels = []  # each output of the model and of its rivals with its limits; limited outputs come first
-    limited = [name for name in excitation.trial.outputs if name in question.limits]
-    for name in list(dict.fromkeys((*limited, *question.measured)))[:MAX_OUTPUTS]:
-        unit, values = units[name], excitation.trial.outputs[name]
-        traces = [Trace("model", displayed(values, unit), "true")]
-        for k, (rival, trial) in enumerate(list(excitation.rivals.items())[:MAX_RIVALS]):
-            other = displayed(trial.outputs[name], unit)
-            traces.append(Trace(f"if {rival} is true", np.where(np.isfinite(other), other, np.nan), f"s{k}"))
+    drawing, panels = charts.over(trial.time), []
+    names = dict.fromkeys((*(name for name in trial.outputs if name in question.limits), *question.measured))
+    for name in [*names][:MAX_OUTPUTS]:  # limited outputs come first
+        lines = [("model", trial.outputs[name], "true")]
+        for k, (rival, other) in enumerate([*excitation.rivals.items()][:MAX_RIVALS]):
+            lines.append((f"if {rival} is true", other.outputs[name], f"s{k}"))
         limit = question.limits.get(name)
-        edges = () if limit is None else tuple(float(displayed(values[0] + x, unit)) for x in (-limit, limit))
-        panels.append(Panel(name, shown_unit(unit) or "1", traces, None, edges, "limit" if edges else ""))
+        ends = () if limit is None else trial.outputs[name][0] + np.array([-limit, limit])
+        edges = tuple(float(displayed(end, units[name])) for end in ends)
+        panels.append(signal_panel(name, units[name], lines, limits=edges, limit_label="limit" if edges else ""))
     separates = min(excitation.apart.values()) >= MIN_SEPARATION
-    return render(
-        TEMPLATE,
-        {
-            "excitation": excitation,
-            "tone": "warn" if excitation.excess > 1.0 else "good" if separates else "bad",
-            "badges": [
-                Badge(f"{plain(seconds)} s"),
-                Badge(counted(len(question.rivals), "rival")),
-                Badge(f"measured: {join_names(question.measured)}"),
-            ],
-            "inputs": drawing.plots(held_panels(excitation.trial.inputs, units)),
-            "needed": MIN_SEPARATION,
-            "longest": max(MIN_SEPARATION, *excitation.apart.values(), *excitation.usual.values()),
-            "most": MAX_PAIRS,
-            "limits": _limits(excitation, units),
-            "outputs": drawing.plots(panels),
-            "play": shlex.join(["cosim", "run", str(scenario)]),
-            "data": charts.data(),  # after all drawings
-            "version": __version__,
-        },
-    )
+    values = {
+        "excitation": excitation,
+        "tone": "warn" if excitation.excess > 1.0 else "good" if separates else "bad",
+        "badges": [
+            f"{plain(float(trial.time[-1] - trial.time[0]))} s",
+            counted(len(question.rivals), "rival"),
+            f"measured: {join_names(question.measured)}",
+        ],
+        "inputs": drawing.plots(held_panels(trial.inputs, units)),
+        "needed": MIN_SEPARATION,
+        "longest": max(MIN_SEPARATION, *excitation.apart.values(), *excitation.usual.values()),
+        "most": MAX_PAIRS,
+        "limits": _limits(excitation, units),
+        "outputs": drawing.plots(panels),
+        "play": command("cosim", "run", str(scenario)),
+    }
+    return render(TEMPLATE, values, charts)
 
 
 def _limits(excitation: Excitation, units: Mapping[str, str]) -> list[Mapping[str, Any]]:

@@ -52,9 +52,8 @@ class Artefact:
         keys: Alternative sets of keys that identify a YAML or JSON file.
         without: Keys absent from every file of this kind.
         endings: Endings of file names, e.g. ".csv".
-        heads: Alternatives for the first bytes of the file.
         text: Regular expression for the beginning of a text file.
-        member: File in a ZIP archive, or the beginning of its name; "*" is any.
+        member: File in a ZIP archive.
         beside: (file name, name of another file that must be in the same folder).
         taken_as: Other kind as which files of this kind are also accepted.
         verb: Command that writes the kind, e.g. "cosim refine".
@@ -74,7 +73,6 @@ class Artefact:
     keys: tuple[frozenset[str], ...] = ()
     without: frozenset[str] = frozenset()
     endings: tuple[str, ...] = ()
-    heads: tuple[bytes, ...] = ()
     text: str = ""
     member: str = ""
     beside: tuple[str, str] | None = None

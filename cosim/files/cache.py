@@ -26,7 +26,7 @@ VARIABLE = "XDG_CACHE_HOME"
 
 def cache_path(source: str, suffix: str) -> Path:
     """Return the cache path for a source's derived file."""
-    return cache_folder() / f"{_hash(source)[:32]}{suffix}"
+    return cache_folder() / f"{hashlib.sha256(source.encode()).hexdigest()[:32]}{suffix}"
 
 
 @functools.cache
@@ -45,13 +45,9 @@ def _user_folder(variable: str) -> Path | None:
         status = folder.resolve().stat()
     except OSError:
         return None
-    reason = ""
-    if hasattr(os, "geteuid") and status.st_uid != os.geteuid():
-        reason = f"it belongs to another user; set {VARIABLE} to another folder"
-    elif os.name == "posix" and status.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
-        reason = "other users can write to it; run chmod go-w on it"
-    if reason:
+    if hasattr(os, "geteuid") and (status.st_uid != os.geteuid() or status.st_mode & (stat.S_IWGRP | stat.S_IWOTH)):
         with contextlib.suppress(OSError, ValueError):
+            reason = f"another user can write to it: run chmod go-w on it, or set {VARIABLE} to another folder"
             sys.stderr.write(f"note: a temporary cache is used instead of {folder}: {reason}\n")
         return None
     return folder if os.access(folder, os.W_OK) else None
@@ -74,23 +70,16 @@ def cache_environment() -> Mapping[str, str]:
 def load_or_make(source: str, make: Callable[[], Any]) -> Any:
     """Return a JSON value from the cache; on a miss, call `make` and store its result.
 
-    The cache file begins with a hash of its content; a damaged or partial file is replaced.
-
     Args:
         source: Text that identifies the value, such as the code and options it is made from.
         make: Function that computes the value.
     """
     path = cache_path(source, ".json")
-    try:
-        head, _, text = path.read_text(encoding="utf-8").partition("\n")
-        if head == _hash(text):
-            return json.loads(text)
-    except (OSError, ValueError):
-        pass
+    with contextlib.suppress(OSError, ValueError):
+        return json.loads(path.read_bytes())
     value = make()
-    text = json.dumps(value)
     with contextlib.suppress(OSError), draft_of(path) as draft:  # A read-only cache is no error.
-        draft.write_text(f"{_hash(text)}\n{text}", encoding="utf-8")
+        draft.write_text(json.dumps(value), encoding="utf-8")
     return value
 
 
@@ -100,7 +89,3 @@ def fingerprint(packages: Iterable[str]) -> str:
 
     files = (f for name in packages for f in sorted(Path(str(import_module(name).__file__)).parent.glob("*.py")))
     return f"{sympy.__version__} {hashlib.sha256(b''.join(f.read_bytes() for f in files)).hexdigest()}"
-
-
-def _hash(text: str) -> str:
-    return hashlib.sha256(text.encode()).hexdigest()

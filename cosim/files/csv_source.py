@@ -6,7 +6,7 @@ import csv
 import io
 import re
 from array import array
-from collections.abc import Callable, Collection, Container, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Container, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -23,7 +23,6 @@ MOST_BYTES = 200_000_000  # size of a file [bytes]; files are read whole
 CHUNK = 1000  # rows written at a time
 PLAIN = 1e-4, 1e16  # `repr` writes numbers from the first to below the second without an exponent
 THOUSANDS = re.compile(r"(?<![\d.,])\d{1,3}(?:[.'’ ]\d{3})+,\d+|(?<![\d.,])\d{1,3}(?:,\d{3})+\.\d+")
-NO_DECIMAL = re.compile(r"(?<!\d),|,(?!\d)")  # a comma that is no decimal comma
 SEPARATORS = {";": "semicolons", "\t": "tabs", "|": "vertical bars", " ": "blanks"}
 
 
@@ -51,13 +50,15 @@ class Csv(Source):
         if message:
             raise InputError([Fault(path, line, 1, message)])
         assumed: tuple[str, ...] = ()
-        if mark:
-            content, decimals = _with_commas(path, content, mark, line)
-            assumed = (f"cells are separated by {SEPARATORS[mark]}{decimals}",)
+        decimal = "."
+        if mark != ",":
+            decimal = _decimal_mark(path, content, mark, line)
+            commas = ", decimals have a comma" if decimal == "," else ""
+            assumed = (f"cells are separated by {SEPARATORS[mark]}{commas}",)
         headings = [split_heading(cell, names) for cell in header]
-        if header and not text and (columns := _numbers(content, line, headings)) is not None:
+        if header and not text and (columns := _numbers(content, line, headings, mark, decimal)) is not None:
             return Table(columns, range(line + 1, line + 1 + len(columns[0].values)), line, assumed=assumed)
-        faults, by_column, lines = _texts(path, content, len(header), line)
+        faults, by_column, lines = _texts(path, content, len(header), line, mark)
         columns = [cells_of(*pair, c, pair[0] in text) for pair, c in zip(headings, by_column, strict=True)]
         return Table(columns, lines, line, faults, assumed)
 
@@ -68,23 +69,16 @@ class Csv(Source):
 
     def write(self, path: Path, columns: Sequence[Column]) -> None:
         """Write columns with exactly reproducible numbers."""
-        header, count = [column.name for column in columns], len(columns[0].values)
-        numeric = all(isinstance(c.values, np.ndarray) and c.values.dtype.kind in "iuf" for c in columns)
-
-        def parts() -> Iterator[list[Any]]:
-            for first in range(0, count, CHUNK):  # Python floats need four times the memory.
-                yield [column.values[first : first + CHUNK] for column in columns]
-
-        def rows() -> Iterator[tuple[Any, ...]]:
-            for part in parts():
-                yield from zip(*(p.tolist() if isinstance(p, np.ndarray) else p for p in part), strict=True)
-
-        if not numeric:
-            write_table(path, header, rows(), cell_text)
-            return
+        is_numeric = all(isinstance(c.values, np.ndarray) and c.values.dtype.kind in "iuf" for c in columns)
         with atomic_write(path) as stream:
-            csv.writer(stream, lineterminator="\n").writerow(header)
-            stream.writelines(map(lines_of_numbers, parts()))
+            csv.writer(stream, lineterminator="\n").writerow([column.name for column in columns])
+            for first in range(0, len(columns[0].values), CHUNK):  # Python floats need four times the memory.
+                part: list[Any] = [column.values[first : first + CHUNK] for column in columns]
+                if is_numeric:
+                    stream.write(lines_of_numbers(part))
+                else:
+                    cells = (p.tolist() if isinstance(p, np.ndarray) else p for p in part)
+                    stream.writelines(",".join(map(cell_text, row)) + "\n" for row in zip(*cells, strict=True))
 
 
 CSV = Csv()
@@ -98,19 +92,19 @@ def read_heading(path: Path, names: Container[str] = ()) -> tuple[list[tuple[str
     """
     with open_bytes(path) as stream:
         header, line, mark = _header(stream)
-    if not header or mark:
+    if not header or mark != ",":
         raise ValueError("the header is not CSV")
     return [split_heading(cell, names) for cell in header], line
 
 
 def _header(stream: BinaryIO) -> tuple[list[str], int, str]:
-    """Return the cells of the first line with text, its number, and the separator if it is no comma."""
+    """Return the cells of the first line with text, its number, and the separator of the cells."""
     text = io.TextIOWrapper(stream, encoding="utf-8-sig", errors="replace", newline="")
     reader = csv.reader(text)
     try:
         header = next((row for row in reader if any(map(str.strip, row))), [])
     except csv.Error:
-        return [], 1, ""
+        return [], 1, ","
     finally:
         text.detach()  # otherwise the wrapper would close the file
     line = max(1, reader.line_num)
@@ -118,70 +112,53 @@ def _header(stream: BinaryIO) -> tuple[list[str], int, str]:
     for mark in SEPARATORS:
         if mark in only.strip() and not (mark == " " and "[" in only):  # A blank separates a unit from its name.
             return next(csv.reader([only.strip()], delimiter=mark, skipinitialspace=True)), line, mark
-    return header, line, ""
+    return header, line, ","
 
 
-def _with_commas(path: Path, content: bytes, mark: str, header: int) -> tuple[bytes, str]:
-    """Return a file with cells separated by commas and decimals by points, and a phrase on its decimals.
-
-    Raises:
-        InputError: A number has separators of thousands.
-    """
-    text = content.decode("utf-8-sig", errors="surrogateescape")
-    head, body = "", text
-    for _ in range(header):
-        line, end, body = body.partition("\n")
-        head += line + end
+def _decimal_mark(path: Path, content: bytes, mark: str, header: int) -> str:
+    """Return the decimal mark of the numbers below the header; raise InputError for a separator of thousands."""
+    body = content.decode("utf-8-sig", errors="replace").split("\n", header)[-1]
     if (found := THOUSANDS.search(body)) is not None:
-        line_of = header + 1 + body[: found.start()].count("\n")
+        line = header + 1 + body[: found.start()].count("\n")
         message = f"{found[0].strip()} has a separator of thousands; write numbers without one"
-        raise InputError([Fault(path, line_of, 1, message)])
-    has_comma = any(DECIMAL_COMMA.fullmatch(cell.strip()) for cell in re.split(f"[\n{re.escape(mark)}]", body))
-    if '"' not in body and not (has_comma and NO_DECIMAL.search(body)) and (has_comma or "," not in body):
-        body = body.replace(",", ".").replace(mark, ",")
-    else:
-        rows, written = csv.reader(io.StringIO(body, newline=""), delimiter=mark), io.StringIO()
-        cells = ([c.replace(",", ".") if DECIMAL_COMMA.fullmatch(c.strip()) else c for c in row] for row in rows)
-        csv.writer(written, lineterminator="\n").writerows(cells)
-        body = written.getvalue()
-    return (head + body).encode(errors="surrogateescape"), ", decimals have a comma" if has_comma else ""
+        raise InputError([Fault(path, line, 1, message)])
+    cells = re.split(f"[\n{re.escape(mark)}]", body)
+    return "," if any(DECIMAL_COMMA.fullmatch(cell.strip()) for cell in cells) else "."
 
 
 # -- all cells at once ----------------------------------------------------------------------------
 
 
-def _numbers(content: bytes, header: int, headings: Sequence[tuple[str, str]]) -> list[Column] | None:
+def _numbers(
+    content: bytes, header: int, headings: Sequence[tuple[str, str]], mark: str, decimal: str
+) -> list[Column] | None:
     """Return numeric columns below the header line; None if the file must be read row by row."""
-    body = content
-    for _ in range(header):
-        body = body.partition(b"\n")[2]
+    body = content.split(b"\n", header)[header:]
+    body = body[0] if body else b""
     if not body.strip() or b'"' in body or body.count(b"\r") != body.count(b"\r\n"):
         return None
-    from pyarrow import ArrowInvalid, BufferReader, float64, string
-    from pyarrow.csv import ConvertOptions, ReadOptions, read_csv
+    from pyarrow import ArrowInvalid, BufferReader
+    from pyarrow.csv import ConvertOptions, ParseOptions, ReadOptions, read_csv
 
-    def read(places: Sequence[int], kind: Any) -> Any:
-        names = [str(k) for k in places]
-        options = ReadOptions(use_threads=False, column_names=[str(k) for k in range(len(headings))])
-        types = ConvertOptions(column_types=dict.fromkeys(names, kind), include_columns=names, null_values=[""])
-        return read_csv(BufferReader(body), options, convert_options=types)
-
+    reading = ReadOptions(use_threads=False, column_names=[str(k) for k in range(len(headings))])
+    converting = ConvertOptions(null_values=[""], timestamp_parsers=[], decimal_point=decimal)
     try:
-        table = read(range(len(headings)), float64())
-        values: list[Array] = [column.to_numpy() for column in table.columns]
-        if table.num_rows != body.count(b"\n") + (not body.endswith(b"\n")) or np.isnan(values).all(axis=0).any():
-            return None  # blank lines, or rows of empty cells
-        first = body.partition(b"\n")[0].split(b",")
-        digits = [k for k, cell in enumerate(first) if cell.strip().removeprefix(b"-").isdigit()]
-        with np.errstate(invalid="ignore"):
-            digits = [k for k in digits if (values[k] == np.rint(values[k])).all()]
-        columns = [Column(*pair, column) for pair, column in zip(headings, values, strict=True)]
-        if digits:  # Only their text shows whether they are integers.
-            for k, column in zip(digits, read(digits, string()).columns, strict=True):
-                columns[k] = cells_of(*headings[k], column.to_pylist(), is_text=False)
-    except ArrowInvalid:  # a cell without a number, or a row of another length
+        table = read_csv(BufferReader(body), reading, ParseOptions(delimiter=mark), converting)
+    except ArrowInvalid:  # a row of another length
         return None
-    return columns
+    if table.num_rows != body.count(b"\n") + (not body.endswith(b"\n")):  # blank lines
+        return None
+    if not {str(kind) for kind in table.schema.types} <= {"int64", "double", "null"}:
+        return None
+    values = [(c if str(c.type) == "int64" else c.cast("double")).to_numpy() for c in table.columns]
+    floats = [v for v in values if v.dtype.kind == "f"]
+    if len(floats) == len(values) and np.isnan(floats).all(axis=0).any():  # rows of empty cells
+        return None
+    if any(((v >= 2.0**63) & (v <= 2.0**64)).any() for v in floats):  # perhaps integers without a sign
+        return None
+    if any((v == 0).any() for v in values if v.dtype.kind == "i") and re.search(rb"-0(?![.\d])", body):
+        return None  # a negative zero is no integer
+    return [Column(*pair, column) for pair, column in zip(headings, values, strict=True)]
 
 
 def cells_of(name: str, unit: str, cells: Sequence[str], is_text: bool) -> Column:
@@ -202,7 +179,7 @@ def cells_of(name: str, unit: str, cells: Sequence[str], is_text: bool) -> Colum
 
 
 def _texts(
-    path: Path, content: bytes, width: int, header: int
+    path: Path, content: bytes, width: int, header: int, mark: str
 ) -> tuple[list[Fault], Sequence[Sequence[str]], Sequence[int]]:
     """Return the faults, the cells of each column, and the line of each row. A row of another length is a fault.
 
@@ -219,16 +196,19 @@ def _texts(
         before = content[: content.rfind(b"\n", 0, error.start) + 1]
         faults.append(Fault(path, before.count(b"\n") + 1, 1, "is not UTF-8 text; save it as plain CSV, UTF-8"))
         text = before.decode("utf-8-sig")
-    reader = csv.reader(io.StringIO(text, newline=""))
+    reader = csv.reader(io.StringIO(text, newline=""), delimiter=mark)
     try:
         for row in reader:
             if reader.line_num <= header or not any(map(str.strip, row)):
                 continue
             if len(row) == width:
                 lines.append(reader.line_num)
-                rows.append(row)
-                continue
-            misfits.append((reader.line_num, len(row)))
+                is_comma = mark != ","
+                rows.append(
+                    [c.replace(",", ".") if is_comma and DECIMAL_COMMA.fullmatch(c.strip()) else c for c in row]
+                )
+            else:
+                misfits.append((reader.line_num, len(row)))
     except csv.Error as error:
         faults.append(Fault(path, reader.line_num, 1, f"is not CSV: {error}"))
     if misfits:

@@ -11,17 +11,17 @@ import os
 import platform
 import re
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
 from types import NoneType
-from typing import Any, NamedTuple
+from typing import Any
 
 from cosim.core.errors import InputError
 from cosim.core.messages import Note
 from cosim.core.scratch import temporary_folder
 from cosim.core.version import __version__
 from cosim.files.artefact import artefacts
-from cosim.files.files import FilePath, check_writable, delay_stops, named_path, open_regular, parse_json, write_json
+from cosim.files.files import FilePath, check_writable, delay_stops, named_path, open_regular, parse_json
 
 RESULTS = Path("results")
 NUMBERED = RESULTS / "NAME"  # default output folder: a new number in results/NAME, with a name chosen by the workflow
@@ -68,9 +68,7 @@ def name_of(model: str) -> str:
 
 
 @contextmanager
-def new_run(
-    out: FilePath | None, name: str, verb: str, *, force: bool = False, goes_on: bool = False
-) -> Iterator[Path]:
+def new_run(out: FilePath | None, name: str, verb: str, *, force: bool = False) -> Iterator[Path]:
     """Yield the folder that a command writes into: a new number in results/NAME, or `out`.
 
     A folder that is empty at the end is removed. Inside another command with a folder of its own, nothing happens.
@@ -78,7 +76,6 @@ def new_run(
     Args:
         verb: Such as `cosim run`.
         force: Allow files in `out`.
-        goes_on: Allow files in `out`, but no results of other verbs.
 
     Raises:
         InputError: `out` is not empty, cannot be written, or another command writes into it.
@@ -87,17 +84,14 @@ def new_run(
         folder = _new_number(runs_named(name)) if out is None else named_path(out)
         import psutil
 
-        content = content_of(folder / STARTED)
-        is_inner = _is_alive(content) and content["pid"] == os.getpid()
+        is_running = state_of(folder) == RUNNING
+        is_inner = is_running and content_of(folder / STARTED)["pid"] == os.getpid()
         if not is_inner:
             new = [path for path in (folder, *folder.parents) if not path.is_dir()]
-            if state_of(folder) == RUNNING:
-                reason = "another command is writing into this folder; give another --out"
-                raise InputError.at(folder, reason)
+            if is_running:
+                raise InputError.at(folder, "another command is writing into this folder; give another --out")
             check_writable(folder, ())
-            has_files = any(not path.name.startswith(".") for path in folder.iterdir())
-            others = [a for a in artefacts() if a.verb not in {"", verb} and a.is_left_in(folder, unfinished=True)]
-            if has_files and not (force or (goes_on and not others)):
+            if not force and any(not path.name.startswith(".") for path in folder.iterdir()):
                 raise InputError.at(folder, "is not empty; give another folder as --out, or add --force")
             (folder / STARTED).unlink(missing_ok=True)  # of an interrupted command
             about = {"pid": os.getpid(), "begun": psutil.Process().create_time(), "host": platform.node()}
@@ -140,13 +134,6 @@ def _new_number(runs: Path) -> Path:
     raise AssertionError
 
 
-def describe_run(folder: Path, record: Mapping[str, Any]) -> None:
-    """Add a record to STARTED, so that an interrupted run can be repeated from it."""
-    if about := content_of(folder / STARTED):
-        with suppress(OSError):  # The record is optional.
-            write_json(folder / STARTED, {**record, **about})
-
-
 def remove_earlier(folder: Path, *, read: Iterable[Path] = ()) -> None:
     """Remove earlier results of cosim from a folder before writing again; files of the user stay.
 
@@ -178,20 +165,13 @@ def state_of(folder: Path) -> str:
     content = content_of(folder / STARTED)
     if content.get("host", platform.node()) != platform.node():
         return ELSEWHERE
-    return RUNNING if _is_alive(content) else INTERRUPTED
-
-
-def _is_alive(content: Mapping[str, Any]) -> bool:
-    """Return True if the process in a STARTED file exists. A reused process number has another start time."""
     import psutil  # only a folder with STARTED needs it
 
-    pid, begun = content.get("pid"), content.get("begun")
-    if not isinstance(pid, int) or not isinstance(begun, float) or content.get("host") != platform.node():
-        return False
-    try:
-        return bool(abs(psutil.Process(pid).create_time() - begun) < SAME_BEGINNING)
-    except (psutil.Error, ValueError, OverflowError):
-        return False
+    try:  # A reused process number has another start time.
+        begun = psutil.Process(content["pid"]).create_time()
+        return RUNNING if abs(begun - content["begun"]) < SAME_BEGINNING else INTERRUPTED
+    except (psutil.Error, LookupError, TypeError, ValueError, OverflowError):
+        return INTERRUPTED
 
 
 # -- reading --------------------------------------------------------------------------------------
@@ -220,10 +200,8 @@ def has_results(folder: Path) -> bool:
 
 
 def manifest_in(folder: Path) -> dict[str, Any]:
-    """Return the manifest in a folder, or the record of an interrupted run, without damaged parts."""
-    file = folder / "manifest.json"
-    started = {} if file.is_file() else content_of(folder / STARTED)
-    return sound_part(file, started if "scenario" in started else content_of(file))[0]
+    """Return the manifest in a folder without damaged parts."""
+    return sound_part(folder / "manifest.json", content_of(folder / "manifest.json"))[0]
 
 
 def warnings_on(folder: Path) -> tuple[str, ...]:
@@ -239,19 +217,11 @@ def warnings_on(folder: Path) -> tuple[str, ...]:
 
 def other_version(file: Path, record: Mapping[str, Any]) -> tuple[str, ...]:
     """Return a warning or note about a record written by another version."""
-    schema, by = record.get("schema_version", SCHEMA_VERSION), version_of(record)
+    schema, by = record.get("schema_version", SCHEMA_VERSION), record.get("cosim_version", "")
     if schema != SCHEMA_VERSION:
-        text = f"{file} has the schema version {schema}, written by cosim {by or 'of an unknown version'}; "
-        known = f"this version reads {SCHEMA_VERSION} and ignores new or changed keys. Use that version of cosim"
-        return (text + known,)
-    is_other = by not in {"", __version__}
-    return (Note(f"{file} was written by cosim {by}, and this is {__version__}"),) if is_other else ()
-
-
-def version_of(record: Mapping[str, Any]) -> str:
-    """Return the version that wrote a record; "" if unknown."""
-    version = record.get("cosim_version", record.get("version"))
-    return version if isinstance(version, str) else ""
+        known = f"this version reads {SCHEMA_VERSION} and ignores new or changed keys"
+        return (f"{file} has the schema version {schema}, written by cosim {by or '?'}; {known}",)
+    return () if by in {"", __version__} else (Note(f"{file} was written by cosim {by}, and this is {__version__}"),)
 
 
 def content_of(path: Path) -> dict[str, Any]:
@@ -286,42 +256,24 @@ def replay_record(folder: Path) -> dict[str, Any]:
 
 
 @contextmanager
-def results_in(out: FilePath | None, verb: str, name: str = "", *, force: bool = False) -> Iterator[Any]:
+def results_in(out: FilePath | None, verb: str, name: str, *, force: bool = False) -> Iterator[Path]:
     """Yield the output folder: `out` (empty unless `force`), or a temporary folder without `out`.
 
-    NUMBERED as `out` means a new number in results/NAME; without a name, the workflow chooses it and None is yielded.
+    NUMBERED as `out` means a new number in results/NAME.
     """
-    if out is NUMBERED and not name:
-        yield None
-    elif out is not None:
-        with new_run(None if out is NUMBERED else out, name, verb, force=force) as folder:
-            yield folder
-    else:
-        with temporary_folder("run") as scratch:
-            yield scratch
+    with (
+        temporary_folder("run") if out is None else nullcontext(None if out is NUMBERED else out) as place,
+        new_run(place, name, verb, force=force) as folder,
+    ):
+        yield folder
 
 
 # -- types of the values in records ---------------------------------------------------------------
 
-LONGEST_VALUE = 40  # characters of a value in a message
 EACH = "*"  # key of a type of mappings, for all their values
-
-
-class Number:
-    """Type of a number or null in a record."""
-
-
-TITLES = {
-    str: "text",
-    int: "a whole number",
-    float: "a number",
-    Number: "a number",
-    bool: "true or false",
-    dict: "a mapping",
-    list: "a list",
-}
-# A type is a key of TITLES, a list with the type of each element, or a mapping from keys, which may be absent, to types
-CRITERION = {"kind": str, "of": str, "met": bool, "value": Number, "max": Number}
+NUMBER = (int, float, NoneType)
+# A type is a class or several, a list with the type of each element, or a mapping from keys, which may be absent
+CRITERION = {"kind": str, "of": str, "met": bool, "value": NUMBER, "max": NUMBER}
 COMMON: Mapping[str, Any] = {
     **dict.fromkeys(("cosim_version", "version", "command", "status", "verdict", "sentence"), str),
     "schema_version": int,
@@ -336,7 +288,7 @@ TYPES: Mapping[str, Mapping[str, Any]] = {
         "criteria": [CRITERION],
         "units": {EACH: str},
         "display": {EACH: list},
-        "unit_definitions": {EACH: [Number]},
+        "unit_definitions": {EACH: [NUMBER]},
         "fmus": {EACH: dict},
     },
     "replay.json": {"log": str, "fmu": str, "units": {EACH: str}, "display": {EACH: list}, "start": dict},
@@ -345,36 +297,19 @@ TYPES: Mapping[str, Mapping[str, Any]] = {
 }
 
 
-class WrongValue(NamedTuple):
-    """A value in a record that has a wrong type."""
-
-    name: str
-    value: Any
-    wanted: str
-
-
-def fault_of(value: Any, kind: Any, name: str) -> WrongValue | None:
-    """Return the first value of a wrong type inside the value called `name`, if any. Booleans are not whole numbers."""
-    outer = type(kind) if isinstance(kind, (list, dict)) else kind
-    if type(value) not in ((float, int, NoneType) if outer is Number else (outer,)):
-        return WrongValue(name, value, TITLES[outer])
-    parts: Iterable[tuple[str, Any, Any]] = ()
+def has_type(value: Any, kind: Any) -> bool:
+    """Return True if a value and its parts have the declared types. Booleans are not whole numbers."""
     if isinstance(kind, list):
-        parts = ((f"{name}[{k}]", each, kind[0]) for k, each in enumerate(value))
-    elif isinstance(kind, dict) and not (kind.get(EACH) is str and {*map(type, value.values())} <= {str}):  # fast
-        parts = ((f"{name}.{key}", each, kind.get(EACH, kind.get(key))) for key, each in value.items())
-    faults = (fault_of(each, wanted, place) for place, each, wanted in parts if wanted is not None)
-    return next(filter(None, faults), None)
+        return type(value) is list and all(has_type(each, kind[0]) for each in value)
+    if isinstance(kind, dict):
+        wanted = ((each, kind.get(EACH, kind.get(key))) for key, each in value.items()) if type(value) is dict else ()
+        return type(value) is dict and all(each_kind is None or has_type(each, each_kind) for each, each_kind in wanted)
+    return type(value) in (kind if isinstance(kind, tuple) else (kind,))
 
 
 def sound_part(file: Path, record: Mapping[str, Any]) -> tuple[dict[str, Any], tuple[str, ...]]:
     """Return a record without the keys whose values have a wrong type, and a warning for each."""
-    sound, warnings = {**record}, list[str]()
-    for key, kind in {**COMMON, **TYPES.get(file.name, {})}.items():
-        if key in record and (fault := fault_of(record[key], kind, key)):
-            text = json.dumps(fault.value, ensure_ascii=False)
-            text = text if len(text) <= LONGEST_VALUE else f"{text[:LONGEST_VALUE]}…"
-            said = f"{file}: {fault.name} is {text}, not {fault.wanted}; {key} is not used"
-            warnings.append(f"{said}: run it again, or correct the file")
-            del sound[key]
-    return sound, tuple(warnings)
+    kinds = {**COMMON, **TYPES.get(file.name, {})}
+    wrong = [key for key, kind in kinds.items() if key in record and not has_type(record[key], kind)]
+    cure = "has a value of a wrong type and is not used: run it again, or correct the file"
+    return {k: v for k, v in record.items() if k not in wrong}, tuple(f"{file}: {key} {cure}" for key in wrong)

@@ -15,11 +15,8 @@ from cosim.files.table import sources, suffixes
 from cosim.files.yaml_file import YamlFile
 
 WRITTEN = {".yaml", ".yml", ".json"}  # endings for which the keys decide the kind
-PROSE = {".md", ".rst", ".mmd", ".tex", ".c", ".h", ".toml", ".sh"}
-COLUMNS = {"", ".txt", ".dat", ".tsv", ".log", ".asc"}  # text, or a table of an instrument
 ROW = re.compile(r"\s*[-+]?[\d.]+(e[-+]?\d+)?\s*([,;\t ]|$)", re.I)
 FIRST = re.compile(r'"?time\b|\w+:(\s|$)')
-KEYED = re.compile(r'(?!time\b)\w+:(\s|$)|\{\s*"')
 UTF_16 = b"\xff\xfe", b"\xfe\xff"
 HEAD = 1024  # examined bytes
 UNREAD = "no command reads it; `cosim --help` lists the commands and their files"
@@ -31,15 +28,14 @@ def kind_by_form(path: Path) -> str | None:
     with suppress(OSError, ValueError), open_bytes(path) as stream:
         head = stream.read(HEAD)
     text = head.decode("utf-8", errors="replace").lstrip("\ufeff")
-    begin = "" if ending in WRITTEN else text.lstrip("\ufeff \t\r\n")
     members: list[str] = []
     if head.startswith(b"PK") and ending not in {".fmu", ".ssp", *suffixes()}:  # Excel's tables are archives, too.
         with suppress(OSError, ValueError, zipfile.BadZipFile, NotImplementedError), zipfile.ZipFile(path) as archive:
             members = archive.namelist()
 
     for a in artefacts():
-        begins = (a.heads and head.startswith(a.heads)) or (begin and a.text and re.match(a.text, begin))
-        if begins or (a.member and any(a.member == "*" or n.startswith(a.member) for n in members)):
+        begins = a.text and ending not in WRITTEN and re.match(a.text, text.lstrip())
+        if begins or (a.member and a.member in members):
             return a.kind
     for a in artefacts():
         name, other = a.beside or ("", "")  # For rows in formats other than CSV, only the suffix differs.
@@ -48,26 +44,18 @@ def kind_by_form(path: Path) -> str | None:
             return a.kind
     if any(source.magic and head.startswith(source.magic) for source in sources()):
         return LOG  # Later checks examine its columns.
-    if ending == ".csv":
-        # Loggers use various encodings, and a truncated row contains zero bytes.
-        controls = sum(byte < 9 or 13 < byte < 32 for byte in head)
-        is_odd = controls > 0.05 * len(head) and any(byte > 127 for byte in head)
-        if not head.startswith(UTF_16) and (is_odd or b"\0" in head.partition(b"\n")[0]):
-            return BINARY
-        lines = (line.strip() for line in text.splitlines())
-        first = next((line for line in lines if line and not line.startswith(("#", "---", "%"))), "")
-        if first == "{" or KEYED.match(first):
-            return _by_keys(path) or LOG
-    elif ending in suffixes():
-        return LOG
+    if ending in suffixes():  # A row of a CSV file that was cut by a loss of power may contain zero bytes.
+        is_binary = ending == ".csv" and b"\0" in head.partition(b"\n")[0] and not head.startswith(UTF_16)
+        return BINARY if is_binary else LOG
     for a in artefacts():
         if ending in a.endings:
             return a.kind
     if b"\0" in head and ending not in WRITTEN and not head.startswith(UTF_16):
         return BINARY
-    begin, *rows = text.splitlines() or [""]
+    lines = [line for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#")]
+    begin, *rows = lines or [""]
     is_tabular = any(map(ROW.match, rows)) or FIRST.match(begin)  # a row of numbers, a column name or a key
-    return TEXT if head and (ending in PROSE or (ending in COLUMNS and not is_tabular)) else None
+    return TEXT if head and ending not in WRITTEN and not is_tabular else None
 
 
 def next_step(kind: str, path: Path) -> str:
@@ -103,10 +91,7 @@ def refuse_unreadable(path: Path, *wanted: str) -> None:
     try:
         if path.is_dir():
             refuse_folder(path, kinds)
-            endings = {ending for a in artefacts() if a.kind in kinds for ending in a.endings} or {".yaml", ".yml"}
-            names = sorted(p.name for p in path.iterdir() if p.suffix.lower() in endings and p.is_file())
-            some = f"{', '.join(names[:3])}{', …' if names[3:] else ''}" or "no files of this kind"
-            raise InputError.at(path, f"is a folder, not {kinds}; in it: {some}")
+            raise InputError.at(path, f"is a folder, not {kinds}; give a file")
         if not path.exists():
             raise InputError.at(path, f"no such file; give {kinds}")
         if not path.is_file():  # A pipe would block.

@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 
 from cosim.core.arrays import Array
-from cosim.core.drafts import is_full
 from cosim.core.text import did_you_mean
 from cosim.files.table import (
     Column,
@@ -31,7 +30,6 @@ from cosim.files.table import (
 
 EXACT = 2**53  # integers below this size are exact as doubles
 INTEGER = re.compile(r"0|-?[1-9]\d{0,19}")
-FEWER = 0.7  # share of the rows for the next attempt on a full disk
 
 
 @dataclass(frozen=True)
@@ -103,19 +101,6 @@ class Results:
         columns += [Column(name, self.units.get(name, ""), list(values)) for name, values in self.exact.items()]
         source_named(path.suffix).write(path, columns)
 
-    def write_what_fits(self, path: Path) -> int:
-        """Write as many first rows as fit on the disk and return their number; raise OSError if none fits."""
-        count = len(self.time)
-        while True:
-            exact = {name: values[:count] for name, values in self.exact.items()}
-            try:
-                replace(self, time=self.time[:count], values=self.values[:count], exact=exact).write(path)
-                return count
-            except OSError as error:
-                if not (count and is_full(error)):
-                    raise
-                count = int(FEWER * count)
-
 
 def is_rounded(values: Any) -> bool:
     """Return True if integers, perhaps stored as doubles, are too large for exact doubles."""
@@ -152,41 +137,33 @@ def read_results(
     for missing in (name for name in names if table.columns and name not in here):
         faults.note(table.header, 0, f'has no column "{missing}"{did_you_mean(missing, here)}')
     faults.raise_any()
-    renamed = [replace(column, name=names.get(column.name, column.name)) for column in table.columns]
-    if any(is_time(name) for name in names.values()):
-        renamed.sort(key=lambda column: not is_time(column.name))
-    table = replace(table, columns=renamed)
-    if table.columns and not is_time(table.columns[0].name):  # a table of another tool
-        cells = [replace(column, cell=k) for k, column in enumerate(table.columns, 1)]
-        table = time_first(replace(table, columns=cells), faults, (), ())
+    columns = [replace(column, name=names.get(column.name, column.name)) for column in table.columns]
+    table = time_first(replace(table, columns=columns), faults, (), ())
     first = table.columns[0] if table.columns else Column("")
     if not is_time(first.name):
         note_wrong_first(faults, table)
         faults.raise_any()
     use = Use("time", time_scale(faults, table.header, first.unit), role="the time")
-    time = numbers_of(replace(first, name="time", cell=1), use, table, faults, jumps=True)
-    numbers: dict[str, Array] = {}
-    exact, whole = dict[str, list[Any]](), set[str]()
-    for cell, column in enumerate(table.columns[1:], 2):
+    time = numbers_of(replace(first, name="time"), use, table, faults, jumps=True)
+    numbers, exact, whole = dict[str, Array](), dict[str, list[Any]](), set[str]()
+    for column in table.columns[1:]:
         if column.fault:
-            faults.note(0, cell, f"column {column.name} {column.fault}")
+            faults.note(0, column.cell, f"column {column.name} {column.fault}")
         elif not column.numeric:
             exact[column.name] = list(column.values)
+        elif (values := np.asarray(column.values)).dtype.kind in "iu" and is_rounded(values):
+            exact[column.name] = values.tolist()
         else:
-            values = np.asarray(column.values)
-            if values.dtype.kind in "iu" and is_rounded(values):
-                exact[column.name] = values.tolist()
-                continue
             numbers[column.name] = values.astype(np.float64)
             whole |= {column.name} if values.dtype.kind == "i" else set()
     faults.raise_any()
     assert time is not None  # set above: the time is not spare
-    values = np.column_stack(list(numbers.values())) if numbers else np.empty((time.size, 0))
+    every = np.column_stack(list(numbers.values())) if numbers else np.empty((time.size, 0))
     own_units = {c.name: c.unit for c in table.columns[1:] if c.unit}
     own_units |= {name: unit for name, unit in units.items() if name in numbers or name in exact}
     words = frozenset(exact) & {*words, *(c.name for c in table.columns[1:] if c.is_text)}
     notes = tuple(f"{path.name}: {text}" for text in table.assumed)
-    return Results(time, tuple(numbers), values, own_units, exact, frozenset(whole), notes, words=words)
+    return Results(time, tuple(numbers), every, own_units, exact, frozenset(whole), notes, words=words)
 
 
 def rows_name(stem: str, format_: str) -> str:

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from cosim.core.errors import Fault, InputError, refuse
-from cosim.core.text import amount, did_you_mean, is_difference, showing
+from cosim.core.text import amount, did_you_mean, is_difference, showing, some
 from cosim.core.version import __version__
 from cosim.files.artefact import artefacts
 from cosim.files.folders import (
@@ -33,7 +33,6 @@ from cosim.files.folders import (
     run_name,
     sound_part,
     state_of,
-    version_of,
 )
 from cosim.files.run_inputs import changes_between, input_leaves, input_text, short_input
 
@@ -41,10 +40,8 @@ OUTCOMES = ("verdict", "status", "sentence")  # keys of a record that may contai
 UNFINISHED, DAMAGED, ROWS_ONLY = "unfinished", "damaged record", "rows without a record"
 NO_ROWS = "rows are gone"
 MOST_CHANGES = 3  # in a text
-PATTERN = ("*", "?", "[")  # characters of a pattern
 DAY = 86_400.0  # [s]
 DEEPEST = 6  # levels of folders below the folder of results: results/a/b/c/d/runs/0001
-EARLIER = "runs"  # folder within results of cosim 0.9 and before, with the earlier runs of a name: 0001, 0002
 NUMBERS = ".run-numbers"  # line k has the name of the results with the number k; lines are only added
 
 
@@ -125,9 +122,7 @@ class Entry:
     def changed(self) -> str:
         """Return the changes as a text."""
         names = ((short_input(key), value) for key, value in self.changes.items())
-        texts = [f"{name} = {input_text(value)}" if value is not None else f"no {name}" for name, value in names]
-        more = f" and {len(texts) - MOST_CHANGES} more" * (len(texts) > MOST_CHANGES)
-        return ", ".join(texts[:MOST_CHANGES]) + more
+        return some([f"{name} = {input_text(v)}" if v is not None else f"no {name}" for name, v in names], MOST_CHANGES)
 
 
 def entries(results: Path | None = None) -> list[Entry]:
@@ -143,15 +138,8 @@ def entries(results: Path | None = None) -> list[Entry]:
     for entry, content in _results_within(root, Path(root.resolve().name), 0):
         by_name.setdefault(entry.of, []).append((entry, content))
     every: list[Entry] = []
-
-    def age(found: tuple[Entry, Mapping[str, Any]]) -> tuple[int, int]:
-        *before, last = found[0].name.split("/")
-        if not RUN_NUMBER.fullmatch(last):  # between runs of cosim 0.9 and new ones
-            return 1, 0
-        return (0 if before and before[-1] == EARLIER else 2), int(last)
-
-    for group in by_name.values():
-        group.sort(key=age)
+    for group in by_name.values():  # a folder without a number is older than the numbered ones
+        group.sort(key=lambda found: int(last) if RUN_NUMBER.fullmatch(last := found[0].folder.name) else 0)
         before: Mapping[str, Any] = {}
         for entry, content in group:
             inputs = input_leaves(content)
@@ -160,12 +148,12 @@ def entries(results: Path | None = None) -> list[Entry]:
             before = inputs or before
     every.sort(key=lambda entry: (entry.time, entry.name))
     lines = [entry.name.replace("\n", "\0") for entry in every]
-    known = numbered_lines(root)
+    known = _numbered_lines(root)
     if new := [line for line in lines if line not in known]:  # They get the next numbers, in their order.
         with suppress(OSError):  # Commands that add lines at the same time agree: the first line of a name counts.
             with (root / NUMBERS).open("a", encoding="utf-8", errors="surrogateescape") as stream:
                 stream.write("".join(f"{line}\n" for line in new))
-            known = numbered_lines(root)
+            known = _numbered_lines(root)
         for line in new:  # the file cannot be written
             known.setdefault(line, len(known) + 1)
     return [replace(entry, number=known[line]) for entry, line in zip(every, lines, strict=True)]
@@ -189,7 +177,7 @@ def _results_within(place: Path, name: Path, depth: int) -> Iterator[tuple[Entry
         parts = {"figures", *(folder for a in artefacts() if a.verb for folder in a.folders)}
     for inner, item in sorted(items.items() if depth < DEEPEST else ()):
         if inner not in parts and not inner.startswith(".") and item.is_dir(follow_symlinks=False):
-            is_run = depth == 0 and (inner == EARLIER or RUN_NUMBER.fullmatch(inner))
+            is_run = depth == 0 and RUN_NUMBER.fullmatch(inner)
             yield from _results_within(place / inner, name / inner if depth or is_run else Path(inner), depth + 1)
 
 
@@ -224,13 +212,13 @@ def _recorded(place: Path, name: Path, items: Mapping[str, os.DirEntry[str]]) ->
         record, outcome = place, INTERRUPTED
     else:
         return None
-    schema, by = content.get("schema_version", SCHEMA_VERSION), version_of(content)
+    schema, by = content.get("schema_version", SCHEMA_VERSION), content.get("cosim_version", "")
     version = by if by != __version__ else ""
     of = name.parent if RUN_NUMBER.fullmatch(name.name) and len(name.parts) > 1 else name
     entry = Entry(
         number=0,
         name=name.as_posix(),
-        of=(of.parent if of.name == EARLIER and of != name else of).as_posix(),
+        of=of.as_posix(),
         folder=place,
         verb=content.get(COMMAND, artefact.verb if artefact else "").removeprefix("cosim "),
         time=record.stat().st_mtime,
@@ -266,7 +254,7 @@ def _judged(content: Mapping[str, Any]) -> tuple[Mapping[str, Any], ...]:
     return tuple(c for c in criteria if isinstance(c, dict) and "met" in c)
 
 
-def numbered_lines(root: Path) -> dict[str, int]:
+def _numbered_lines(root: Path) -> dict[str, int]:
     """Return name → number of all results that were ever listed, in the order of numbers."""
     try:
         lines = (root / NUMBERS).read_text(encoding="utf-8", errors="surrogateescape").split("\n")
@@ -340,7 +328,7 @@ def select_groups(texts: Sequence[str], results: Path | None = None) -> list[lis
         elif path.exists():
             group = [Selected(path)]
         else:
-            faults.append(Fault(path, 0, 0, _no_match(text, every, root)))
+            faults.append(Fault(path, 0, 0, _no_match(text, every)))
         there |= {selected.path.resolve() for selected in group}
         groups.append(group)
     refuse(faults)
@@ -362,7 +350,7 @@ def find_entries(texts: Sequence[str] | None, results: Path) -> list[Entry]:
     for text in texts:
         matches = match_entries(text, every, results)
         if not matches:
-            raise InputError.at(Path(text), _no_match(text, every, results))
+            raise InputError.at(Path(text), _no_match(text, every))
         found |= {entry.name: entry for entry in matches}
     return [*found.values()]
 
@@ -382,22 +370,12 @@ def match_entries(text: str, every: Sequence[Entry], root: Path = RESULTS) -> li
     return exact or [e for e in every if fnmatch.fnmatchcase(e.name, name)]
 
 
-def _no_match(text: str, every: Sequence[Entry], root: Path) -> str:
+def _no_match(text: str, every: Sequence[Entry]) -> str:
     """Return the message for a text that selects no results."""
-    if text.isdecimal() and every:
-        known = {number: name for name, number in numbered_lines(root).items()}
-        if (name := known.get(int(text))) is not None:
-            return f"the results with the number {text}, {name}, were removed; `cosim list` shows all"
-        return f"no results with the number {text}; `cosim list` shows the numbers, up to {max(known, default=0)}"
-    is_pattern = any(character in text for character in PATTERN)
-    if not every and (is_pattern or text.isdecimal()):
-        return "no results here; run a command without --out first, or give --results FOLDER"
-    if is_pattern:
-        return "no results match; `cosim list` shows all"
     hint = did_you_mean(text, [name for entry in every for name in (entry.of, entry.name)])
     return (
-        "no such folder or file; give the folder of a run, a table of its rows, or a number or name in "
-        f"`cosim list`{hint}"
+        "no such folder, file or results; give the folder of a run, a table of its rows, or a number, name or pattern "
+        f"in `cosim list`{hint}"
     )
 
 
@@ -406,16 +384,10 @@ def _no_match(text: str, every: Sequence[Entry], root: Path) -> str:
 
 @dataclass(frozen=True)
 class Removal:
-    """Earlier runs to remove, or removed, and their size in bytes.
-
-    Attributes:
-        warnings: Warnings about runs that no longer existed.
-        faults: Reasons why runs cannot be removed.
-    """
+    """Earlier runs to remove, or removed, their size in bytes, and reasons why others cannot be removed."""
 
     entries: tuple[Entry, ...]
     size: int
-    warnings: tuple[str, ...] = ()
     faults: tuple[Fault, ...] = ()
 
 
@@ -445,26 +417,21 @@ def plan_removal(
 
 def remove(entries: Iterable[Entry]) -> Removal:
     """Remove earlier runs."""
-    removed, size, warnings, faults = list[Entry](), 0, list[str](), list[Fault]()
+    removed, size, faults = list[Entry](), 0, list[Fault]()
     for entry in entries:
-        if not entry.folder.is_dir():
-            warnings.append(f"{entry.folder} no longer exists")
-            continue
         taken = _size(entry.folder)
         try:
             shutil.rmtree(entry.folder)
+        except FileNotFoundError:  # by another command
+            continue
         except OSError as error:
             faults.append(Fault(entry.folder, 0, 0, f"cannot be removed: {error.strerror or error}"))
             continue
         removed.append(entry)
         size += taken
-    return Removal(tuple(removed), size, tuple(warnings), tuple(faults))
+    return Removal(tuple(removed), size, tuple(faults))
 
 
 def _size(folder: Path) -> int:
-    total = 0
-    for place, _, files in os.walk(folder):
-        for name in files:
-            with suppress(OSError):
-                total += os.lstat(os.path.join(place, name)).st_size
-    return total
+    files = (os.path.join(place, name) for place, _, names in os.walk(folder) for name in names)
+    return sum(os.lstat(file).st_size for file in files)

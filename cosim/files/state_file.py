@@ -1,9 +1,4 @@
-"""State files: JSON with bytes, checked by a hash, written completely or not at all.
-
-    cosim state 1
-    SHA-256 of the rest
-    {"text": characters of the JSON, "blobs": [sizes of the bytes values]}
-    JSON, in which {"blob": k} refers to the k-th bytes value, then the bytes values
+"""State files: JSON with bytes in Base64, checked by a SHA-256, written completely or not at all.
 
 A state file contains data only; reading one executes nothing.
 """
@@ -13,14 +8,15 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+from base64 import b64decode, b64encode
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 from cosim.core.drafts import draft_of
 
-MAGIC = b"cosim state 1\n"
-BLOB = "blob"
+MAGIC = b"cosim state 2\n"
+BLOB = "blob"  # key of bytes
 
 
 class BadState(ValueError):
@@ -29,38 +25,18 @@ class BadState(ValueError):
 
 def pack(content: Any) -> bytes:
     """Return the content of a state file."""
-    blobs: list[bytes] = []
-
-    def reference(value: Any) -> Any:
-        if not isinstance(value, (bytes, bytearray)):
-            raise TypeError(f"a state file cannot store a {type(value).__name__}")
-        blobs.append(bytes(value))
-        return {BLOB: len(blobs) - 1}
-
-    text = json.dumps(content, default=reference).encode()
-    sizes = json.dumps({"text": len(text), "blobs": [len(blob) for blob in blobs]}).encode()
-    body = b"".join([sizes, b"\n", text, *blobs])
-    return MAGIC + hashlib.sha256(body).hexdigest().encode() + b"\n" + body
+    text = json.dumps(content, default=lambda value: {BLOB: b64encode(value).decode()}).encode()
+    return MAGIC + hashlib.sha256(text).hexdigest().encode() + b"\n" + text
 
 
 def unpack(data: bytes) -> Any:
     """Return the values; raise BadState if damaged."""
     if not data.startswith(MAGIC):
         raise BadState("it is not a state file of this version")
-    digest, _, body = data[len(MAGIC) :].partition(b"\n")
-    if hashlib.sha256(body).hexdigest().encode() != digest:
+    digest, _, text = data[len(MAGIC) :].partition(b"\n")
+    if hashlib.sha256(text).hexdigest().encode() != digest:
         raise BadState("its SHA-256 differs from its content: it is incomplete or was changed")
-    head, _, rest = body.partition(b"\n")
-    sizes = json.loads(head)
-    first, blobs = sizes["text"], []
-    for size in sizes["blobs"]:
-        blobs.append(rest[first : first + size])
-        first += size
-
-    def resolve(mapping: dict[str, Any]) -> Any:
-        return blobs[mapping[BLOB]] if mapping.keys() == {BLOB} else mapping
-
-    return json.loads(rest[: sizes["text"]], object_hook=resolve)
+    return json.loads(text, object_hook=lambda item: b64decode(item[BLOB]) if item.keys() == {BLOB} else item)
 
 
 def write_durable(path: Path, content: bytes) -> None:

@@ -8,13 +8,13 @@ from __future__ import annotations
 import functools
 import math
 import re
-import shlex
 import sys
 from collections.abc import Callable, Collection, Container, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import datetime
 from functools import cached_property
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -29,11 +29,11 @@ from cosim.files.files import open_bytes
 
 OWN = (
     "cosim.files.csv_source:CSV",
-    "cosim.files.parquet_source:PARQUET",
-    "cosim.files.matrix_sources:MAT",
-    "cosim.files.matrix_sources:HDF5",
-    "cosim.files.excel_source:EXCEL",
-    "cosim.files.mdf_source:MDF",
+    "cosim.files.formats:PARQUET",
+    "cosim.files.formats:MAT",
+    "cosim.files.formats:HDF5",
+    "cosim.files.formats:EXCEL",
+    "cosim.files.formats:MDF",
 )
 HEAD = 64  # bytes examined to detect a format
 SHOWN_FAULTS = 20  # faults that are shown for a file; the rest are counted
@@ -58,7 +58,7 @@ class Column:
         values: Numbers, NaN if missing, whole numbers as integers; or a list of other values.
         fault: Reason for missing numbers, e.g. "has time stamps; write seconds", or "".
         is_text: True if the file declares the values as text or binary data, even if they look like numbers.
-        cell: Number of the column in the file, from 1; set by `read_table`.
+        cell: Number of the column in the file, from 1; set by `read_source`.
     """
 
     name: str
@@ -76,12 +76,9 @@ class Column:
     @property
     def holds_words(self) -> bool:
         """Return True if the column has text or values of another type, apart from numbers with decimal commas."""
-        if self.numeric or self.fault:
-            return bool(self.fault)
-        cells = [str(value) for value in self.values]
-        numbers = [number_of(cell) for cell in cells]
-        is_word = (n is None and not DECIMAL_COMMA.fullmatch(c.strip()) for n, c in zip(numbers, cells, strict=True))
-        return any(is_word) and all(number is None or math.isnan(number) for number in numbers)
+        filled = [] if self.numeric or self.fault else [c for v in self.values if (c := str(v).strip())]
+        is_word = (number_of(c) is None and not DECIMAL_COMMA.fullmatch(c) for c in filled)
+        return bool(self.fault) or (bool(filled) and all(is_word))
 
 
 @dataclass(frozen=True)
@@ -242,7 +239,7 @@ def read_source(faults: Faults, names: Container[str] = (), text: Collection[str
         return Table()
     faults.header = table.header
     faults.items += table.faults
-    return table
+    return replace(table, columns=[replace(column, cell=k) for k, column in enumerate(table.columns, 1)])
 
 
 def read_table(
@@ -272,7 +269,6 @@ def read_table(
         if not faults.items:
             faults.note(0, 0, f"has no columns; the first line of a CSV names them: time, then {description}")
         return None
-    table = replace(table, columns=[replace(column, cell=k) for k, column in enumerate(table.columns, 1)])
     if times is not None:
         table = time_first(table, faults, times, names)
     has_time = is_time(table.columns[0].name)
@@ -283,10 +279,7 @@ def read_table(
         if not has_time and (not place or is_time(column.name)):
             continue
         column, cell = replace(column, name=column.name if place else "time"), column.cell
-        if column.name in uses:
-            before = uses[column.name][1].cell
-            faults.note(table.header, cell, f'column "{column.name}" appears twice, first as column {before}; keep one')
-        elif (use := choose(column)) is not None and use.name in uses:
+        if (use := choose(column)) is not None and use.name in uses:
             before = uses[use.name][1].cell
             faults.note(table.header, cell, f'columns {before} and "{column.name}" are both {use.name}; keep one')
         elif use is not None:
@@ -321,7 +314,8 @@ def time_first(table: Table, faults: Faults, named: Collection[str], signals: Co
         names = ", ".join(c.name for c in usual)
         message = f"each of {names} may be the time; choose one with --column {usual[0].name}=time"
         faults.note(table.header, usual[1].cell, message)
-    time = next(iter([*exact, *usual, *(c for c in others if number_of(c.name) is None and _increases(c))]), None)
+    increasing = (c for c in others if number_of(c.name) is None and _increases(c))
+    time = next(chain(exact, usual, increasing), None)
     if time is None:
         return replace(table, columns=columns or table.columns)
     if time.name not in named and not (is_time(time.name) and time.cell == 1):
@@ -455,9 +449,9 @@ def _check_times(time: Array, lines: Sequence[int], cell: int, faults: Faults, *
     before = dict(zip(rows[late].tolist(), time[rows[late - 1]].tolist(), strict=True))
 
     def message(row: int) -> str:
-        cure, spacing = "sort the rows, and keep one row per time", math.ulp(time[row])
-        if time[row] == before[row] and spacing > FLOAT_RESOLUTION_S:
-            cure = f"doubles of this size are {spacing:.2g} s apart: subtract the first time from all before writing"
+        cure = "sort the rows, and keep one row per time"
+        if time[row] == before[row] and math.ulp(time[row]) > FLOAT_RESOLUTION_S:
+            cure = "doubles of this size are too coarse: subtract the first time from all before writing"
         return f"time {time[row]:g} s does not increase, the row before has {before[row]:g} s; {cure}"
 
     faults.note_cells(rows[late], lines, cell, message)
@@ -467,13 +461,9 @@ def note_wrong_first(faults: Faults, table: Table) -> None:
     """Record the fault that the first column is not time."""
     first = table.columns[0].name if table.columns else ""
     place = next((cell for cell, column in enumerate(table.columns, 1) if is_time(column.name)), 0)
-    if place:
-        hint = f"; time is column {place}: move it to the front"
-    elif number_of(first) is not None and first:
+    hint = f"; time is column {place}: move it to the front" if place else did_you_mean(first, ["time"])
+    if number_of(first) is not None and first:
         hint = "; the file has no header: add a first line with the column names"
-    else:
-        rename = f"; rename it, or use --column {shlex.quote(f'{first}=time')} if the command has that option"
-        hint = did_you_mean(first, ["time"]) or rename
     faults.note(table.header, 1, f'the first column is "{first}"; it must be "time" [s]{hint}')
 
 

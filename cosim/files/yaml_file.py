@@ -199,12 +199,7 @@ class YamlFile:
             is_alien = kind == "extra_forbidden" and bool(place) and closest(str(place[0]), model.model_fields) != first
             if len(place) < 2 and not is_alien:
                 raise InputError(faults)
-            part, key = data, place[0]
-            for step in place[1:]:
-                if not isinstance(part.get(key), dict):
-                    break  # A list is removed whole to keep its indices.
-                part, key = part[key], step
-            part.pop(key, None)
+            remove_part(data, place)
         try:
             return model.model_validate(data), faults
         except ValidationError:
@@ -293,6 +288,20 @@ REMOVED_KEYS: dict[str, str] = {  # key of earlier versions → what to use inst
     "design": "Design the controller first: cosim build --model MODEL --design FILE.",
 }
 _FORMS = {"dict_type", "model_type", "list_type", "tuple_type", "string_type", "float_type", "string_pattern_mismatch"}
+
+
+def remove_part(data: dict[Any, Any], location: Location) -> tuple[dict[Any, Any], str | int]:
+    """Remove the smallest part at a location and return its parent and key.
+
+    Of a missing key the part that lacks it is removed, and a list is removed whole to keep its indices.
+    """
+    key, *rest = location
+    for step in rest:
+        if not isinstance(data.get(key), dict) or step not in data[key]:
+            break
+        data, key = data[key], step
+    data.pop(key, None)
+    return data, key
 
 
 def location_in(data: Any, places: Sequence[str | int], kind: str) -> Location:

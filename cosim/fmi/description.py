@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterable, Sequence
-from contextlib import suppress
 from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any, Literal
@@ -19,8 +18,8 @@ from cosim.fmi.fmi_types import element_names
 
 # form of pythonfmu's exceptions
 WRAPPED = re.compile(r"Fatal py exception encountered: \[\w+\] \w+ (?P<kind>\w+)\((?P<text>.*?),?\)$")
-EXPERIMENT, BOUNDS = ("startTime", "stopTime", "stepSize", "tolerance"), ("min", "max")
-CONVERSION = (*SI, "factor", "offset")
+SECTIONS = ("UnitDefinitions", "TypeDefinitions", "DefaultExperiment", "ModelVariables")
+NUMBERS = {"startTime", "stopTime", "stepSize", "tolerance", "min", "max", *SI, "factor", "offset"}  # attributes
 _WORD = r"[A-Za-z_][A-Za-z_0-9]*(\[[0-9]+(,[0-9]+)*\])?"
 PLAIN_NAME = re.compile(rf"{_WORD}(\.{_WORD})*")  # characters allowed by every naming convention
 PLAIN = ("RuntimeError", "ValueError", "ArithmeticError", "Exception")
@@ -38,37 +37,20 @@ def reason_of(error: Exception) -> str:
     return " ".join(str(error).split())[:2000]
 
 
-def check_identifiers(path: Path, description: Any) -> None:
-    """Raise FmuError if a library name would lead outside the FMU."""
-    for way in filter(None, (description.coSimulation, description.modelExchange)):
-        name = way.modelIdentifier
-        if name is None or not re.fullmatch(r"[^/\\\x00-\x1f:]+", name) or name in {".", ".."}:
-            reason = f'its modelIdentifier "{str(name)[:SHOWN]}" is not a file name'
-            raise FmuError(f"{path} is not a valid FMU: {reason}")
-
-
-def check_numbers(path: Path, description: Any) -> None:
+def check_numbers(path: Path, version: str) -> None:
     """Raise FmuError for text in place of a number. Only descriptions with schema violations need this check."""
-    parts: list[tuple[str, Any, tuple[str, ...]]] = [
-        ("its default experiment", description.defaultExperiment, EXPERIMENT)
-    ]
-    for unit in description.unitDefinitions:
-        parts += [(f"unit {unit.name}", part, CONVERSION) for part in (unit.baseUnit, *unit.displayUnits)]
-    for part in (*description.typeDefinitions, *description.modelVariables):
-        simple = description.fmiVersion == "1.0" and getattr(part, "type", "") in {"Real", "Integer", "Enumeration"}
-        parts.append((part.name, part, (*BOUNDS, "start") if simple else BOUNDS))
-    numbers: list[tuple[Any, str, Any]] = []
-    for place, part, names in parts:
-        numbers += [(float, f"{name} of {place}", getattr(part, name, None)) for name in names]
-    for type_ in description.typeDefinitions:
-        numbers += [(int, f"item {item.name} of {type_.name}", item.value) for item in type_.items or ()]
-    for kind, place, value in numbers:
-        try:
-            if kind is int or value not in (None, ""):
-                kind(value)
-        except (TypeError, ValueError):
-            what = f'{place} is "{str(value)[:60]}", not a {"whole number" if kind is int else "number"}'
-            raise FmuError(f"{path} is not a valid FMU: {what}") from None
+    root = ElementTree.fromstring(description_of(path))
+    for node in (node for section in SECTIONS for part in root.iterfind(section) for node in part.iter()):
+        is_start = version == "1.0" and node.tag in {"Real", "Integer", "Enumeration"}
+        for name, text in node.attrib.items():
+            kind = int if (node.tag, name) == ("Item", "value") else float
+            try:
+                if text and (kind is int or name in NUMBERS or (is_start and name == "start")):
+                    kind(text)
+            except ValueError:
+                place = f'{name} of {node.tag} {node.get("name", "")} is "{text[:60]}"'
+                reason = f"{place}, not a {'whole number' if kind is int else 'number'}"
+                raise FmuError(f"{path} is not a valid FMU: {reason}") from None
 
 
 def without_wrapping(words: str) -> str:
@@ -80,18 +62,15 @@ def without_wrapping(words: str) -> str:
     return re.sub(r"^(Runtime|Value|Arithmetic)Error: ", "", text if kind in PLAIN else f"{kind}: {text}")
 
 
-def validation(path: Path) -> list[str]:
-    """Return FMPy's messages on variable names and model structure."""
+def validation(path: Path, description: Any) -> list[str]:
+    """Return FMPy's messages on variable names and model structure of a description that has been read."""
     import fmpy
     from fmpy.model_description import ValidationError
 
-    are_plain = False
-    with suppress(Exception):  # A second reading finds the reason.
-        variables = fmpy.read_model_description(str(path), validate=False).modelVariables
-        are_plain = all(PLAIN_NAME.fullmatch(v.name) for v in variables)
+    # FMPy's parser needs some milliseconds for a name.
+    names = not all(PLAIN_NAME.fullmatch(v.name) for v in description.modelVariables)
     try:
-        # FMPy's parser needs some milliseconds for a name.
-        fmpy.read_model_description(str(path), validate_variable_names=not are_plain, validate_model_structure=True)
+        fmpy.read_model_description(str(path), validate_variable_names=names, validate_model_structure=True)
     except ValidationError as error:
         return [" ".join(str(problem).split()) for problem in error.problems]
     except Exception as error:  # as in `read_description`
@@ -140,25 +119,28 @@ def read_description(path: Path) -> Any:
             description, slips = fmpy.read_model_description(str(path), validate=False), tuple(error.problems)
     except Exception as error:  # FMPy raises bare Exceptions, lxml its own.
         raise FmuError(f"{path} is not a valid FMU: {reason_of(error)}") from None
-    check_identifiers(path, description)
+    invalid = f"{path} is not a valid FMU: its"
+    for part in filter(None, (description.coSimulation, description.modelExchange)):
+        name = str(part.modelIdentifier)
+        if part.modelIdentifier is None or not re.fullmatch(r"[^/\\\x00-\x1f:]+", name) or name in {".", ".."}:
+            # a library name that may lead outside the FMU
+            raise FmuError(f'{invalid} modelIdentifier "{name[:SHOWN]}" is not a file name')
     if slips:
-        check_numbers(path, description)
+        check_numbers(path, description.fmiVersion)
     for variable in description.modelVariables:
         if variable.shape and not 0 <= math.prod(variable.shape) <= MOST_ELEMENTS:
             size = "×".join(map(str, variable.shape))
-            text = f"{path} is not a valid FMU: its array {variable.name} is {size}, not 0 … {MOST_ELEMENTS:g} elements"
-            raise FmuError(text)
+            raise FmuError(f"{invalid} array {variable.name} is {size}, not 0 … {MOST_ELEMENTS:g} elements")
     if not ways(description):
-        kind = ", ".join(way for way, part in PARTS.items() if getattr(description, part) is not None) or "nothing"
         raise FmuError(
-            f"{path} is FMI {description.fmiVersion} for {kind}; supported are FMI 1.0, 2.0 and 3.0 for co-simulation "
-            "or model exchange, and 3.0 for scheduled execution"
+            f"{path} is FMI {description.fmiVersion}, without a supported interface: FMI 1.0, 2.0 and 3.0 for "
+            "co-simulation or model exchange, and 3.0 for scheduled execution"
         )
     if description.guid is None:
         attribute = "instantiationToken" if description.fmiVersion.startswith("3") else "guid"
         raise FmuError(
-            f"{path} is not a valid FMU: its modelDescription.xml has no {attribute}, which its library needs "
-            "for loading; export the FMU again"
+            f"{invalid} modelDescription.xml has no {attribute}, which its library needs for loading; export the FMU "
+            "again"
         )
     add_unread_attributes(path, description)
     _slips[description] = slips
@@ -199,10 +181,9 @@ def takes_any_step(description: Any) -> bool:
 def declares_slopes(path: Path, way: Way) -> bool:
     """Return True if an FMU declares directional derivatives for an interface."""
     tag = "CoSimulation" if way == "co-simulation" else "ModelExchange"
-    about = ElementTree.fromstring(description_of(path)).find(tag)
     # FMPy reads the attribute of FMI 2.0 only; FMI 3.0 has a plural s.
-    flags = [] if about is None else [about.get(f"providesDirectionalDerivative{s}") for s in ("", "s")]
-    return any(flag in ("true", "1") for flag in flags)
+    parts = ElementTree.fromstring(description_of(path)).iterfind(tag)
+    return any(part.get(f"providesDirectionalDerivative{s}") in ("true", "1") for part in parts for s in ("", "s"))
 
 
 def platform_of(description: Any) -> str:
@@ -277,22 +258,25 @@ def enumeration_items(variable: Any) -> dict[str, int]:
     return {i.name: int(i.value) for i in (declared.items or () if declared else ()) if i.name}
 
 
+def _inherited(variable: Any, attribute: str) -> Any:
+    """Return an attribute of a variable, otherwise that of its type."""
+    return getattr(variable, attribute) or getattr(variable.declaredType, attribute, None)
+
+
 def is_difference(variable: Any) -> bool:
     """Return True if a variable is declared as a difference (relativeQuantity)."""
-    own, declared = variable.relativeQuantity, variable.declaredType
-    return bool((declared is not None and declared.relativeQuantity) if own is None else own)
+    own = variable.relativeQuantity
+    return bool(_inherited(variable, "relativeQuantity") if own is None else own)
 
 
 def unit_of(variable: Any) -> str:
     """Return the unit of a variable or its type."""
-    unit = variable.unit or (variable.declaredType.unit if variable.declaredType is not None else None)
-    return unit or ""
+    return str(_inherited(variable, "unit") or "")
 
 
 def display_unit_of(variable: Any) -> str:
     """Return the display unit of a variable or its type; "" if it has none."""
-    declared = variable.declaredType
-    return variable.displayUnit or (declared is not None and declared.displayUnit) or ""
+    return str(_inherited(variable, "displayUnit") or "")
 
 
 def display_units(descriptions: Iterable[Any]) -> dict[str, tuple[str, float, float]]:

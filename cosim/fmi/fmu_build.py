@@ -1,4 +1,4 @@
-"""FMU builds: sources in a uniquely named package, packed by pythonfmu, byte-reproducible.
+"""FMU builds: sources in a uniquely named package, beside those of pythonfmu, byte-reproducible.
 
 All Python FMUs of a process share `sys.modules`. Each of cosim's FMUs therefore carries its sources in a package whose
 name is a hash of their content, so FMUs do not import modules of each other or of the host.
@@ -9,7 +9,6 @@ from __future__ import annotations
 import ast
 import hashlib
 import re
-import sys
 import zipfile
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
@@ -18,9 +17,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from cosim.core.drafts import draft_of
-from cosim.core.scratch import temporary_folder
-from cosim.core.version import __version__
-from cosim.fmi.model_description import ASSETS, Description, complete, documentation, model_text
+from cosim.fmi.model_description import ASSETS, Description, describe, documentation, model_text
 from cosim.fmi.ports import Value, with_starts
 from cosim.model.model import Model
 from cosim.model.traits import Traits
@@ -93,41 +90,57 @@ def about_model(model: Model, text: str) -> Description:
 
 def build(recipe: Recipe, path: Path) -> Path:
     """Write an FMU completely or not at all, byte-reproducible."""
-    with temporary_folder("build") as folder, zipfile.ZipFile(_pack(recipe, folder)) as draft:
-        members = {name: draft.read(name) for name in draft.namelist() if "__pycache__" not in name}
+    import pythonfmu
+    from pythonfmu._version import __version__ as version
+
+    packer = Path(pythonfmu.__file__).parent
+    name = f"{recipe.own[1]}Plant" if recipe.own else recipe.slave[1]
+    package, members = _package(recipe, name)
+    members |= {f"pythonfmu/{file.name}": file.read_bytes() for file in packer.glob("*.py")}
+    members = {f"resources/{file}": data for file, data in members.items()}
+    members["resources/slavemodule.txt"] = f"{package}_slave".encode()
+    for file in packer.glob("resources/binaries/*/*"):
+        if file.suffix in {".dll", ".so", ".dylib"}:
+            members[f"binaries/{file.parent.name}/{name}{file.suffix}"] = file.read_bytes()
     members["model.png"] = (ASSETS / "model.png").read_bytes()
-    xml = members.pop("modelDescription.xml")
+    interface = {
+        "needsExecutionTool": "true",
+        "canHandleVariableCommunicationStepSize": str(recipe.about.variable_step).lower(),
+        "canInterpolateInputs": "false",
+        "canBeInstantiatedOnlyOncePerProcess": "false",
+        "canGetAndSetFMUstate": "true",
+        "canSerializeFMUstate": "true",
+        "modelIdentifier": name,
+        "canNotUseMemoryManagementFunctions": "true",
+    }
+
+    def description(guid: str) -> bytes:
+        about, categories = recipe.about, pythonfmu.Fmi2Slave.log_categories
+        return describe(about, name, f"PythonFMU {version}", guid, {"CoSimulation": interface}, categories)
+
     # The page contains the GUID, which is a hash of everything else.
-    guid = f"{{{digest(members, complete(xml, recipe.about, __version__, '') + recipe.text.encode())[:32]}}}"
-    pages = documentation(recipe.about, recipe.text, __version__, guid, "FMI 2.0 co-simulation")
-    members |= {f"documentation/{name}": data for name, data in pages.items()}
-    members["modelDescription.xml"] = complete(xml, recipe.about, __version__, guid)
+    guid = f"{{{digest(members, description('') + recipe.text.encode())[:32]}}}"
+    members |= documentation(recipe.about, recipe.text, guid, "FMI 2.0 co-simulation")
+    members["modelDescription.xml"] = description(guid)
     with draft_of(path) as target:
         write_zip(target, members)
     return path
 
 
-def _pack(recipe: Recipe, folder: Path) -> Path:
-    """Pack the sources of an FMU as a Python package named by their hash; return the path of the draft FMU."""
-    from pythonfmu.builder import FmuBuilder
-
-    sources = dict(_sources(recipe))
-    module, class_name = recipe.slave
-    if recipe.own:
-        class_name = f"{recipe.own[1]}Plant"
+def _package(recipe: Recipe, class_name: str) -> tuple[str, dict[str, bytes]]:
+    """Return the name of an FMU's Python package, with a hash of its files, and the files with the slave's script."""
+    sources, module = dict(_sources(recipe)), recipe.slave[0]
     identity = recipe.slave, class_name, recipe.values, recipe.substep, recipe.integrator, recipe.starts
     tag = digest(sources, repr(identity).encode())[:12]
     package = f"{re.sub(r'(?<!^)(?=[A-Z])', '_', class_name).lower()}_{tag}"
     # imports of the framework and of carried packages, redirected to the FMU's own package
     names = "|".join((FRAMEWORK, *recipe.packages))
     whole, replacement = rf"^(\s*)import (({names})(?:\.\w+)*)$", rf"\1import {package}.\2; from {package} import \3"
+    members = {}
     for name, text in sources.items():
-        file = folder / package / name
-        file.parent.mkdir(parents=True, exist_ok=True)
         source = re.sub(whole, replacement, text.decode(), flags=re.MULTILINE)
         source = re.sub(rf"^(\s*(?:from|import) )({names})(?=[.\s])", rf"\1{package}.\2", source, flags=re.MULTILINE)
-        file.write_bytes(source.encode())
-    script = folder / f"{package}_slave.py"
+        members[f"{package}/{name}"] = source.encode()
     has_substep = recipe.substep is not None or recipe.integrator is not None
     lines = [
         f"from {package}.cosim.fmi.lifetime import keep",
@@ -144,18 +157,8 @@ def _pack(recipe: Recipe, folder: Path) -> Path:
         lines += [f"    model = {model}", "    ports = model_ports(model)"]
     if recipe.starts:
         lines.append(f"    ports = with_starts(Base.ports, {dict(recipe.starts)!r})")
-    script.write_text("\n".join([*lines, "", "keep(globals(), locals())"]) + "\n", encoding="utf-8")
-    path, modules, keeps_none = list(sys.path), set(sys.modules), sys.dont_write_bytecode
-    sys.dont_write_bytecode = True  # the folder is temporary
-    try:
-        draft = folder / "draft.fmu"
-        FmuBuilder.build_FMU(script, draft, [folder / package])
-        return draft
-    finally:
-        sys.path[:], sys.dont_write_bytecode = path, keeps_none
-        for name in set(sys.modules) - modules:
-            if name.startswith(package):
-                del sys.modules[name]
+    members[f"{package}_slave.py"] = "\n".join([*lines, "", "keep(globals(), locals())", ""]).encode()
+    return package, members
 
 
 def _sources(recipe: Recipe) -> Iterator[tuple[str, bytes]]:

@@ -1,25 +1,26 @@
-"""Model descriptions, completed from those of pythonfmu, and documentation pages of FMUs."""
+"""Model descriptions, vendor annotations and documentation pages of FMUs built by cosim."""
 
 from __future__ import annotations
 
 import inspect
 import math
 import re
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
 from html import escape
 from pathlib import Path
 from string import Template
-from typing import Any
-from xml.etree.ElementTree import Element, SubElement, fromstring, indent, tostring
+from xml.etree.ElementTree import Element, ParseError, SubElement, fromstring, indent, tostring
 
 from cosim.core.units import DISPLAY, unit_definitions
+from cosim.core.version import __version__
+from cosim.files.archive import BadArchive, description_of
 from cosim.fmi.ports import Port
-from cosim.fmi.sampled import AUTHOR, FRAME, TOOL
 from cosim.model.model import AUTO, RK4, STIFF, Model
+from cosim.model.planar import PlanarFrame
 from cosim.model.traits import Traits
 
-LICENCE = "MIT"
+TOOL, AUTHOR, LICENCE = "cosim", "The cosim authors", "MIT"
 ASSETS = Path(__file__).resolve().parent / "assets"
 NEEDS = "<p>Integration: {method} in equal substeps of at most {substep:g} ms, with constant inputs.</p>"
 METHOD = {AUTO: "RK4", RK4: "RK4", STIFF: "RODAS, linearly implicit,"}
@@ -55,89 +56,70 @@ _PART = r"[A-Za-z_][A-Za-z0-9_]*(\[\d+(,\d+)*\])?"
 STRUCTURED = re.compile(rf"{_PART}(\.{_PART})*|der\({_PART}(\.{_PART})*\)", re.ASCII)
 
 
-def naming_convention(names: Iterable[str]) -> str:
-    """Return FMI's naming convention, `structured` if possible, else `flat`."""
-    return "structured" if all(STRUCTURED.fullmatch(name) for name in names) else "flat"
-
-
-def complete(xml: bytes, about: Description, version: str, guid: str) -> bytes:
-    """Return pythonfmu's model description with all missing content added."""
-    root: Any = fromstring(xml)
-    root.attrib.pop("generationDateAndTime", None)  # Equal sources must give equal bytes.
-    interface, categories = root.find("CoSimulation"), root.find("LogCategories")
-    interface.attrib |= {
-        "canHandleVariableCommunicationStepSize": str(about.variable_step).lower(),
-        "canGetAndSetFMUstate": "true",
-        "canSerializeFMUstate": "true",
-    }
-    root[:] = [interface]
-    return described(root, categories, about, version, guid)
-
-
-def described(
-    root: Element,
-    categories: Element,
+def describe(
     about: Description,
-    version: str,
+    name: str,
+    tool: str,
     guid: str,
+    interfaces: Mapping[str, dict[str, str]],
+    categories: Mapping[str, str],
     *,
     fmi: int = 2,
-    state: str = "json",
     locals: Sequence[Port] = (),
     dependencies: Mapping[str, Sequence[str]] | None = None,
 ) -> bytes:
-    """Return a complete model description, built on a root element that has the interfaces.
+    """Return modelDescription.xml of FMI 2.0 or 3.0.
 
     Args:
-        categories: Log categories.
-        state: Format of the serialized FMU state.
+        tool: Generation tool. Native FMUs are those of cosim itself; FMI 2.0 lists their `all.c` as source file.
+        interfaces: Tag → attributes.
+        categories: Log category → meaning.
         locals: Variables of native FMUs.
         dependencies: Dependencies of outputs and derivatives; by default those of `about`.
     """
-    variables = (*about.ports, *locals)
-    root.attrib |= {
-        "guid" if fmi == 2 else "instantiationToken": guid,
-        "description": about.description,
-        "author": AUTHOR,
-        "version": version,
-        "license": LICENCE,
-        "copyright": AUTHOR,
-        "variableNamingConvention": naming_convention(v.name for v in variables),
-    }
+    variables, is_native = (*about.ports, *locals), tool.startswith(TOOL)
+    is_structured = all(STRUCTURED.fullmatch(v.name) for v in variables)
+    head = {"fmiVersion": f"{fmi}.0", "modelName": name, "generationTool": tool}
+    if fmi == 2 and is_native:
+        head["numberOfEventIndicators"] = str(sum(v.causality == "indicator" for v in locals))
+    head |= {"guid" if fmi == 2 else "instantiationToken": guid, "description": about.description, "author": AUTHOR}
+    head |= {"version": __version__, "license": LICENCE, "copyright": AUTHOR}
+    head["variableNamingConvention"] = "structured" if is_structured else "flat"
+    root = Element("fmiModelDescription", head)
+    for tag, attributes in interfaces.items():
+        interface = SubElement(root, tag, attributes)
+        if fmi == 2 and is_native:
+            SubElement(SubElement(interface, "SourceFiles"), "File", name="all.c")
+    root.append(unit_definitions({v.unit for v in variables if v.unit}))
+    logging = SubElement(root, "LogCategories")
+    for category, meaning in categories.items():
+        SubElement(logging, "Category", name=category, description=meaning)
     times = {"startTime": "0", "stopTime": repr(about.stop), "stepSize": repr(about.step), "tolerance": "1e-6"}
-    content = [unit_definitions({v.unit for v in variables if v.unit}), categories, Element("DefaultExperiment", times)]
-    annotations = _annotations(about, state)
-    for annotation in annotations if fmi == 2 else ():  # FMI demands a single element in each
-        content.append(Element("VendorAnnotations"))
-        SubElement(content[-1], "Tool", name=TOOL).append(annotation)
-    content.append(model_variables(variables, fmi))
-    content.append(model_structure(variables, dependencies or about.dependencies, about.initial_dependencies, fmi))
-    if annotations and fmi == 3:
-        content.append(Element("Annotations"))
-        for annotation in annotations:
-            SubElement(content[-1], "Annotation", type=TOOL).append(annotation)
-    root.extend(content)
-    indent(root)
-    text: bytes = tostring(root, encoding="UTF-8", xml_declaration=True)
-    return text + b"\n"
-
-
-def _annotations(about: Description, state: str) -> list[Element]:
-    """Return cosim's vendor annotations: traits of the model, and the accepted step."""
+    SubElement(root, "DefaultExperiment", times)
     annotations = []
     if traits := about.traits:
-        annotations.append(node := Element("Traits", state=state))
-        for name, rate in traits.rates.items():
-            SubElement(node, "Rate", of=name, signal=rate)
-        for name, (low, high) in traits.bounds.items():
-            SubElement(node, "Limits", of=name, low=repr(low), high=repr(high))
+        annotations.append(node := Element("Traits", state="doubles" if is_native else "json"))
+        for signal, rate in traits.rates.items():
+            SubElement(node, "Rate", of=signal, signal=rate)
+        for signal, (low, high) in traits.bounds.items():
+            SubElement(node, "Limits", of=signal, low=repr(low), high=repr(high))
         if traits.planar:
-            SubElement(node, "PlanarFrame", {key: getattr(traits.planar, key) for key in FRAME})
+            SubElement(node, "PlanarFrame", asdict(traits.planar))
     if about.sampled:
         annotations.append(node := Element("Sampled", parameter=about.sampled))
         if optional := " ".join(port.name for port in about.ports if port.optional):
             node.set("optional", optional)
-    return annotations
+    for annotation in annotations if fmi == 2 else ():  # FMI demands a single element in each
+        SubElement(SubElement(root, "VendorAnnotations"), "Tool", name=TOOL).append(annotation)
+    root.append(model_variables(variables, fmi))
+    root.append(model_structure(variables, dependencies or about.dependencies, about.initial_dependencies, fmi))
+    if annotations and fmi == 3:
+        parent = SubElement(root, "Annotations")
+        for annotation in annotations:
+            SubElement(parent, "Annotation", type=TOOL).append(annotation)
+    indent(root)
+    text: bytes = tostring(root, encoding="UTF-8", xml_declaration=True)
+    return text + b"\n"
 
 
 def set_unit_and_limits(node: Element, unit: str, bounds: tuple[float, float] = (-math.inf, math.inf)) -> None:
@@ -151,7 +133,7 @@ def set_unit_and_limits(node: Element, unit: str, bounds: tuple[float, float] = 
             node.set(name, repr(float(limit)))
 
 
-def model_variables(variables: Sequence[Port], fmi: int = 2) -> Element:
+def model_variables(variables: Sequence[Port], fmi: int) -> Element:
     """Return ModelVariables, without event indicators in FMI 2.0."""
     root = Element("ModelVariables")
     if fmi == 3:  # FMI 3.0 requires the time.
@@ -192,7 +174,7 @@ def model_structure(
     variables: Sequence[Port],
     dependencies: Mapping[str, Sequence[str]],
     starting: Mapping[str, Sequence[str]],
-    fmi: int = 2,
+    fmi: int,
 ) -> Element:
     """Return ModelStructure.
 
@@ -200,28 +182,24 @@ def model_structure(
         dependencies: Dependencies of outputs and derivatives.
         starting: Dependencies of outputs during initialization.
     """
-    numbers = {v.name: k + (fmi == 2) for k, v in enumerate(variables)}
+    is2, numbers = fmi == 2, {v.name: k + (fmi == 2) for k, v in enumerate(variables)}
     outputs, states, rates, indicators = (
         [v.name for v in variables if v.causality == kind] for kind in ("output", "state", "derivative", "indicator")
     )
-    unknowns: tuple[tuple[str, str, Mapping[str, Sequence[str] | None]], ...] = (
+    initial: dict[str, Sequence[str] | None] = {n: starting[n] for n in outputs}
+    initial |= dict.fromkeys((*states, *rates))
+    unknowns: list[tuple[str, str, Mapping[str, Sequence[str] | None]]] = [
         ("Outputs", "Output", {n: dependencies[n] for n in outputs}),
         ("Derivatives", "ContinuousStateDerivative", {n: dependencies[n] for n in rates}),
-        (
-            "InitialUnknowns",
-            "InitialUnknown",
-            {**{n: starting[n] for n in outputs}, **dict.fromkeys((*states, *rates))},
-        ),
-        ("", "EventIndicator", dict.fromkeys(indicators)),
-    )
+        ("InitialUnknowns", "InitialUnknown", initial),
+        ("", "EventIndicator", {} if is2 else dict.fromkeys(indicators)),
+    ]
     structure = Element("ModelStructure")
     for group, tag, sources in unknowns:
-        if fmi == 2 and not (group and sources):
-            continue
-        parent = SubElement(structure, group) if fmi == 2 else structure
+        parent = SubElement(structure, group) if is2 and sources else structure
         for name, names in sources.items():
-            number = {"index" if fmi == 2 else "valueReference": str(numbers[name])}
-            node = SubElement(parent, "Unknown" if fmi == 2 else tag, number)
+            number = {"index" if is2 else "valueReference": str(numbers[name])}
+            node = SubElement(parent, "Unknown" if is2 else tag, number)
             if names is not None:
                 node.set("dependencies", " ".join(map(str, sorted(numbers[n] for n in names))))
     return structure
@@ -240,25 +218,47 @@ def model_text(model: Model) -> str:
     return docstrings_html(type(model), model.equations) + needs + catalogue
 
 
-def documentation(about: Description, text: str, version: str, guid: str, way: str) -> dict[str, bytes]:
+def documentation(about: Description, text: str, guid: str, way: str) -> dict[str, bytes]:
     """Return the files of the FMU's folder `documentation`: its page `index.html`, and the licence."""
-    title, tables = escape(about.description), ""
-    for head, causality in (("Inputs", "input"), ("Outputs", "output"), ("Parameters", "parameter")):
-        rows = "".join(
-            f"<tr><td><code>{escape(p.name)}</code></td><td class=number>{'' if p.causality == 'output' else p.start}"
-            f"</td><td>{escape(p.unit)}</td><td>{escape(p.doc)}</td></tr>"
-            for p in about.ports
-            if p.causality == causality
-        )
-        tables += f"<h2>{head}</h2><table><tr><th>Variable<th>Start<th>Unit<th>Meaning</tr>{rows}</table>"
+    names = {"title": escape(about.description), "version": escape(__version__), "author": AUTHOR, "licence": LICENCE}
     page = Template((ASSETS / "page.html").read_text(encoding="utf-8")).substitute(
-        title=title,
-        version=escape(version),
-        way=way,
-        step=about.step,
-        author=AUTHOR,
-        licence=LICENCE,
-        guid=guid,
-        text=text + tables,
+        names, way=way, step=about.step, guid=guid, text=text
     )
-    return {"index.html": page.encode(), "license.txt": (ASSETS / "license.txt").read_bytes()}
+    licence = (ASSETS / "license.txt").read_bytes()
+    return {"documentation/index.html": page.encode(), "documentation/license.txt": licence}
+
+
+# -- vendor annotations of cosim's own FMUs, which other tools ignore ---------------------------------
+
+
+def sampled_by(fmu: Path) -> str | None:
+    """Return the name of an FMU's parameter with its only accepted communication step, if any."""
+    node = _own_annotation(fmu, "Sampled")
+    return None if node is None else node.get("parameter")
+
+
+def optional_inputs(fmu: Path) -> frozenset[str]:
+    """Return the inputs of a cosim FMU that may stay unconnected."""
+    node = _own_annotation(fmu, "Sampled")
+    return frozenset() if node is None else frozenset(node.get("optional", "").split())
+
+
+def traits_of(fmu: Path) -> Traits | None:
+    """Return the traits (rates, limits, planar frame) that cosim has stored in an FMU; None for FMUs of other tools."""
+    node = _own_annotation(fmu, "Traits")
+    if node is None:
+        return None
+    frame = node.find("PlanarFrame")
+    return Traits(
+        {rate.attrib["of"]: rate.attrib["signal"] for rate in node.findall("Rate")},
+        {n.attrib["of"]: (float(n.attrib["low"]), float(n.attrib["high"])) for n in node.findall("Limits")},
+        None if frame is None else PlanarFrame(**frame.attrib),
+    )
+
+
+def _own_annotation(fmu: Path, tag: str) -> Element | None:
+    try:
+        root = fromstring(description_of(fmu))
+    except (OSError, BadArchive, ParseError):
+        return None
+    return root.find(f"VendorAnnotations/Tool[@name='{TOOL}']/{tag}")

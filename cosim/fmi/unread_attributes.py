@@ -33,12 +33,10 @@ def add_unread_attributes(path: Path, description: Any) -> None:
     words = b"relativeQuantity", b"inverse", b"\0"  # the last one in UTF-16
     if not is_first and not any(word in content for word in words):
         return
-    root = ElementTree.fromstring(content)
-    nodes = {node.get("name"): node for node in root.iterfind("ModelVariables/*")}
+    root, outputs = ElementTree.fromstring(content), []
     variables = {variable.name: variable for variable in description.modelVariables}
-    outputs = []
-    for variable in description.modelVariables:
-        if (node := nodes.get(variable.name)) is None:
+    for node in root.iterfind("ModelVariables/*"):
+        if (variable := variables.get(node.get("name"))) is None:
             continue
         for part in (node, *node):
             if (relative := part.get("relativeQuantity")) is not None:
@@ -52,13 +50,11 @@ def add_unread_attributes(path: Path, description: Any) -> None:
             outputs.append(Unknown(variable=variable, dependencies=dependencies))
     if is_first:
         description.outputs = outputs
-    inverse = {
-        (unit.get("name"), display.get("name"))
-        for unit in root.iterfind("UnitDefinitions/Unit")
-        for display in unit.iterfind("DisplayUnit")
-        if display.get("inverse") in TRUE
+    displays = {
+        (unit.name, display.name): display for unit in description.unitDefinitions for display in unit.displayUnits
     }
-    for unit in description.unitDefinitions:
-        for display in unit.displayUnits:
-            if (unit.name, display.name) in inverse:
+    for unit in root.iterfind("UnitDefinitions/Unit"):
+        for node in unit.iterfind("DisplayUnit"):
+            display = displays.get((unit.get("name"), node.get("name")))
+            if display is not None and node.get("inverse") in TRUE:
                 display.__class__ = InverseDisplayUnit

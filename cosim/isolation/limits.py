@@ -7,10 +7,10 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import BeforeValidator, ValidationError
+from pydantic import BeforeValidator, ValidationError, WithJsonSchema
 
 from cosim.core.errors import Fault, InputError
-from cosim.core.messages import with_prefix
+from cosim.core.settings import reason_of
 from cosim.core.units import read_quantity, split_quantity
 from cosim.files.yaml_file import Part
 
@@ -19,7 +19,7 @@ LOADING = 60.0  # default limit of loading [s] with other time limits
 
 
 def _above_zero(units: str, example: str, read_text: Callable[[str], float]) -> Any:
-    """Return a validator of numbers above 0, or texts of them with a unit."""
+    """Return the type of numbers above 0, or texts of them with a unit."""
 
     def read(value: Any) -> float:
         with suppress(ValueError):
@@ -28,7 +28,7 @@ def _above_zero(units: str, example: str, read_text: Callable[[str], float]) -> 
                 return float(number)
         raise ValueError(f"it is a number above 0 with its unit ({units}), {example} for one")
 
-    return BeforeValidator(read)
+    return Annotated[float, BeforeValidator(read), WithJsonSchema({"type": ["number", "string"]})]
 
 
 def _bytes(text: str) -> float:
@@ -36,8 +36,8 @@ def _bytes(text: str) -> float:
     return number * BYTES.get(unit, 0.0)
 
 
-Seconds = Annotated[float, _above_zero("ms, s, min, h", "10 s", lambda text: read_quantity(text, "s"))]
-Bytes = Annotated[float, _above_zero(", ".join(filter(None, BYTES)), "2 GB", _bytes)]
+Seconds = _above_zero("ms, s, min, h", "10 s", lambda text: read_quantity(text, "s"))
+Bytes = _above_zero(", ".join(filter(None, BYTES)), "2 GB", _bytes)
 
 
 class Limits(Part):
@@ -67,10 +67,9 @@ def read_limits(text: str) -> Limits:
     try:
         return Limits.model_validate({key.strip(): value.strip() for key, _, value in pairs})
     except ValidationError as error:
-        faults = []
-        for e in error.errors():
-            name, reason = ".".join(map(str, e["loc"])), e.get("ctx", {}).get("error", e["msg"])
-            unknown = f"{name}: no such limit (known: {', '.join(Limits.model_fields)})"
-            message = unknown if e["type"] == "extra_forbidden" else with_prefix(f"{name}: ", str(reason))
-            faults.append(Fault(Path("--limits"), 0, 0, message))
-        raise InputError(faults) from None
+        known = f"no such limit (known: {', '.join(Limits.model_fields)})"
+        texts = {
+            ".".join(map(str, e["loc"])): known if e["type"] == "extra_forbidden" else reason_of(e)
+            for e in error.errors()
+        }
+        raise InputError([Fault(Path("--limits"), 0, 0, f"{name}: {text}") for name, text in texts.items()]) from None

@@ -49,6 +49,7 @@ NO_MESSAGE = b""  # in place of an answer: an FMU has written into the stream
 MOST_OUTPUT = 64_000  # passed output of FMUs [bytes]
 LAST_OUTPUT = 4_000  # last part kept to explain a crash [bytes]
 MOST_WORDS = 200  # shown part in a message [characters]
+TIMED_OUT = (subprocess.TimeoutExpired, psutil.TimeoutExpired)  # errors of waiting for a process
 ROOT = Path(__file__).resolve().parent.parent.parent
 
 
@@ -84,28 +85,28 @@ class Worker:
         if not self.running:
             start_together([self])
 
-    def _launch(self) -> None:
-        """Start a process with a new folder and shared progress; it waits for `_attend`."""
-        self.end()
-        self._scratch: ScratchFolder = scratch(PREFIX)
+    def _launch(self, *, replaced: bool = False) -> None:
+        """Start a process that waits for `_attend`, with a new folder and progress unless another one is replaced."""
+        if not replaced:
+            self.end()
+            self._scratch: ScratchFolder = scratch(PREFIX)
         try:
             self.progress = mapped_progress(self.progress_file)
-            self._start_process()
+            # A fork has all imported modules. A lock of another thread, also of one of a library, would never be
+            # released in it. For the kernel of Linux the thread that starts a process is its parent, and the worker
+            # ends with it.
+            is_alone = sys.platform.startswith("linux") and int(psutil.Process().num_threads()) == 1
+            if is_alone and not has_loaded_fmus():
+                self._process = _fork()
+            elif threading.current_thread() is threading.main_thread():
+                self._process = _spawn()
+            else:
+                with _starting:
+                    starter = _starters.setdefault(os.getpid(), ThreadPoolExecutor(1, "start of workers"))
+                self._process = starter.submit(_spawn).result()
         except BaseException:
             self._scratch.remove()
             raise
-
-    def _start_process(self) -> None:
-        """Start a process with the folder and the shared progress that are there."""
-        # For the kernel of Linux the thread that starts a process is its parent, and the worker ends with it.
-        if _can_fork():
-            self._process = _fork()
-        elif threading.current_thread() is threading.main_thread():
-            self._process = _spawn()
-        else:
-            with _starting:
-                starter = _starters.setdefault(os.getpid(), ThreadPoolExecutor(1, "start of workers"))
-            self._process = starter.submit(_spawn).result()
         self._jobs = 0
         self.starts += 1
 
@@ -178,7 +179,7 @@ class Worker:
         if isinstance(error, SharedCode) and self._jobs > 1:
             with delay_stops():
                 self.end(replaced=True)
-                self._start_process()
+                self._launch(replaced=True)
                 self._attend()
             return self.call(function, *arguments, watch=watch, doing=doing)
         if error is not None:
@@ -196,10 +197,10 @@ class Worker:
                 with suppress(OSError):
                     send(process.stdin, b"")
                 process.wait(ENDING)
-            except subprocess.TimeoutExpired:
+            except TIMED_OUT:
                 kill = True
         _end_group(process, kill)
-        self._output.join()
+        self._output.join(1.0)  # Children of the process may hold its streams open.
         with suppress(OSError, ValueError):  # Unsent data have no reader.
             process.stdin.close()  # The readers of the other streams close them; closing here would wait for a read.
         if not replaced:
@@ -213,7 +214,7 @@ class Worker:
     @staticmethod
     def _listen(stream: BinaryIO, answers: queue.SimpleQueue[bytes | None]) -> None:
         content: bytes | None = b""
-        with suppress(OSError, ValueError), stream:
+        with suppress(ValueError), stream:
             while content is not None:
                 try:
                     content = receive(stream)
@@ -253,16 +254,13 @@ class Worker:
             patience: Time [s] for the process to end.
         """
         assert self._process is not None
-        component, at, call = clock.place()
-        is_certain = clock.stays() and self._process.poll() is None
-        try:
-            code: int | None = self._process.wait(patience)
-        except subprocess.TimeoutExpired:
-            code = None
+        code: int | None = None
+        with suppress(*TIMED_OUT):
+            code = self._process.wait(patience)
         _end_group(self._process, kill=True)
-        self._output.join()
+        self._output.join(1.0)
         if code in (None, STREAMS_LOST):
-            return Crashed(*clock.place_of_streams(component, at, call, is_certain=is_certain))
+            return Crashed(*clock.place_of_streams())
         texts = (bytes(text).decode("utf-8", "replace") for text in (self.progress.words, self._output.last))
         words = next((line.strip() for text in texts for line in reversed(text.splitlines()) if line.strip()), "")
         component, at, call = clock.place()
@@ -318,18 +316,19 @@ class Remote:
         self._process = 0
 
 
-class _Output:
+class _Output(threading.Thread):
     """Text that FMUs print in the worker: passed on up to a limit, and the last part kept for messages."""
 
     def __init__(self, stream: Any) -> None:
-        self.last = b""
-        self._thread = threading.Thread(target=self._drain, args=(stream,), daemon=True)
-        self._thread.start()
+        super().__init__(daemon=True)
+        self.last, self._stream = b"", stream
+        self.start()
 
-    def _drain(self, stream: Any) -> None:
+    def run(self) -> None:
+        """Read to the end."""
         room = MOST_OUTPUT
-        with suppress(OSError, ValueError), stream:
-            while part := stream.read1(65536):
+        with suppress(OSError, ValueError), self._stream:
+            while part := self._stream.read1(65536):
                 self.last = (self.last + part)[-LAST_OUTPUT:]
                 if room <= 0:
                     continue
@@ -338,10 +337,6 @@ class _Output:
                 with suppress(OSError, ValueError):  # stderr may be closed
                     sys.stderr.write(shown if room > 0 else f"{shown}\n(the FMUs print more, which is left out)\n")
                     sys.stderr.flush()
-
-    def join(self) -> None:
-        """Wait for the rest, but not for children of the process."""
-        self._thread.join(1.0)
 
 
 _starting = threading.Lock()
@@ -363,46 +358,18 @@ def _spawn() -> subprocess.Popen[bytes]:
     )
 
 
-class _Forked:
-    """A process that `_fork` has started, with what is used of `subprocess.Popen`."""
+class _Forked(psutil.Process):  # type: ignore[misc]  # psutil is untyped
+    """A process that `_fork` has started, with streams and `poll` as of `subprocess.Popen`."""
 
     def __init__(self, pid: int, stdin: int, stdout: int, stderr: int) -> None:
-        self.pid = pid
-        self.returncode: int | None = None
+        super().__init__(pid)
         self.stdin, self.stdout, self.stderr = os.fdopen(stdin, "wb"), os.fdopen(stdout, "rb"), os.fdopen(stderr, "rb")
 
     def poll(self) -> int | None:
         """Return the exit code, negative after a signal; None of a process that runs."""
-        return self._take(os.WNOHANG)
-
-    def wait(self, timeout: float | None = None) -> int:
-        """Wait for the end and return the exit code; raise TimeoutExpired."""
-        deadline, pause = time.monotonic() + (timeout or 0.0), 0.0005
-        while (code := self._take(0 if timeout is None else os.WNOHANG)) is None:
-            if time.monotonic() >= deadline:
-                raise subprocess.TimeoutExpired("cosim.isolation", timeout or 0.0)
-            time.sleep(pause)
-            pause = min(2.0 * pause, POLL)
-        return code
-
-    def kill(self) -> None:
-        """Kill the process, unless it has ended."""
-        if self.poll() is None:
-            os.kill(self.pid, signal.SIGKILL)
-
-    def _take(self, options: int) -> int | None:
-        if self.returncode is None:
-            pid, status = os.waitpid(self.pid, options)
-            self.returncode = os.waitstatus_to_exitcode(status) if pid else None
-        return self.returncode
-
-
-def _can_fork() -> bool:
-    """Return whether a fork of this process can be the worker: on Linux, with one thread and without code of an FMU.
-
-    A fork has all imported modules. A lock of another thread, also of one of a library, would never be released in it.
-    """
-    return sys.platform.startswith("linux") and not has_loaded_fmus() and int(psutil.Process().num_threads()) == 1
+        with suppress(psutil.TimeoutExpired):
+            return int(self.wait(0.0))
+        return None
 
 
 def _fork() -> _Forked:
@@ -440,5 +407,6 @@ def _end_group(process: subprocess.Popen[bytes] | _Forked, kill: bool) -> None:
         with suppress(ProcessLookupError, PermissionError):  # All have ended.
             os.killpg(process.pid, signal.SIGKILL)
     if kill:
-        process.kill()
+        with suppress(psutil.Error):
+            process.kill()
     process.wait()

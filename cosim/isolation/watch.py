@@ -34,8 +34,6 @@ STATUSES = {  # NTSTATUS of Windows
 }
 CALL_KEYS = {"set": PUT, "step": ADVANCE, "get": GET, "other": OTHER}  # of the manifest
 READING_PAUSE = 0.003, 0.007  # [s] shortest and longest time between two readings of the current call, at random
-LASTING = 0.02  # [s] that an FMU stays in a call, for certainty about it
-MOST_NAMED = 5  # FMUs in a message
 PLAIN_CALLS = ("setting its inputs", "stepping", "reading its outputs")  # for components other than FMUs
 FMI_CALLS = {
     "2": ("fmi2SetReal", "fmi2DoStep", "fmi2GetReal"),
@@ -127,23 +125,19 @@ def _memory(pid: int, limit: float) -> int:
     with suppress(psutil.Error):
         own = psutil.Process(pid)
         processes = {p.pid: p for p in (own, *own.children(recursive=True))}
-    if sys.platform != "win32":
-        for other in psutil.pids():  # orphans stay in the session of the worker
-            with suppress(OSError, psutil.Error):
-                if os.getsid(other) == pid:
-                    processes[other] = psutil.Process(other)
-
-    def total(size: Callable[[psutil.Process], int]) -> int:
-        sizes = 0
+    for other in psutil.pids() if sys.platform != "win32" else ():  # orphans stay in the session of the worker
+        with suppress(OSError, psutil.Error):
+            if os.getsid(other) == pid:
+                processes[other] = psutil.Process(other)
+    size = 0
+    for is_exact in (False, True):
+        size = 0
         for process in processes.values():
             with suppress(psutil.Error):  # it has ended
-                sizes += size(process)
-        return sizes
-
-    resident = total(lambda process: process.memory_info().rss)
-    if resident <= limit or not sys.platform.startswith("linux"):
-        return resident
-    return total(lambda process: process.memory_full_info().pss)
+                size += process.memory_full_info().pss if is_exact else process.memory_info().rss
+        if size <= limit or not sys.platform.startswith("linux"):
+            break
+    return size
 
 
 def how_ended(code: int) -> str:
@@ -172,9 +166,11 @@ class Clock:
         if watch.progress is not None and rows != self.rows:
             self.rows = rows
             watch.progress(rows)
-        is_other = doing % CALLS == OTHER  # NOTHING counts as OTHER too.
-        is_named = self.progress.named[0] and b"Instantiate" not in self.progress.call
-        loading, waiting, key = not rows and is_other and not is_named, doing in (NOTHING, WAITING), self._key()
+        is_named, is_other = self.progress.named[0], doing % CALLS == OTHER  # NOTHING counts as OTHER too.
+        loading = not rows and is_other and not (is_named and b"Instantiate" not in self.progress.call)
+        # constant during a step or call
+        key = (rows,) if rows and not is_other else (rows, doing, is_named, self.progress.call)
+        waiting = doing in (NOTHING, WAITING)
         if key != self.key or waiting:
             self.key, self.since = key, now
         watch.spent[0] += 0.0 if loading or (waiting and rows) else now - self.last
@@ -218,31 +214,12 @@ class Clock:
             name = "unloading" if self.progress.made[0] else "loading"
         return watch.components[number], watch.time(self.progress.made[0], call), name
 
-    def stays(self) -> bool:
-        """Return whether the process is in one call for a while."""
-        before = self._key()
-        time.sleep(LASTING)
-        return self._key() == before
-
-    def place_of_streams(self, component: str, at: float, call: str, *, is_certain: bool) -> tuple[str, float, str]:
-        """Return component, simulated time [s] and message of an FMU that changed the streams of its process.
-
-        Args:
-            component, at, call: Place at the time of detection.
-            is_certain: Whether the FMU has not returned from that call.
-        """
-        watch = self.watch
-        fmus = [name for name, calls in zip(watch.components, watch.calls, strict=False) if calls is not PLAIN_CALLS]
-        if is_certain or len(fmus) < 2:
-            message = f"{call} closed, read or wrote descriptors that the FMU did not open: it must leave them alone"
-            return fmus[0] if len(fmus) == 1 else component, at, message
-        names = " or ".join(fmus) if len(fmus) <= MOST_NAMED else f"one of {len(fmus)} FMUs"
-        message = "closed, read or wrote descriptors that it did not open; give them process: own, which shows the FMU"
-        return names, at, message
-
-    def _key(self) -> tuple[Any, ...]:
-        """Return a key that is constant during a step or call."""
-        made, doing = self.progress.made[0], self.progress.doing[0]
-        if made and doing % CALLS != OTHER:
-            return (made,)
-        return made, doing, self.progress.named[0], self.progress.call
+    def place_of_streams(self) -> tuple[str, float, str]:
+        """Return component, simulated time [s] and message of an FMU that changed the streams of its process."""
+        component, at, _ = self.place()
+        calls = zip(self.watch.components, self.watch.calls, strict=False)
+        fmus = [name for name, names in calls if names is not PLAIN_CALLS]
+        message = "closed, read or wrote descriptors that it did not open"
+        if len(fmus) > 1:
+            message += "; give them process: own, which shows the FMU"
+        return " or ".join(fmus) or component, at, message

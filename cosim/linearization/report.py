@@ -9,12 +9,10 @@ from pathlib import Path, PurePath
 import numpy as np
 
 from cosim.core.arrays import Array
-from cosim.core.text import counted, plain, split_sentence, written
-from cosim.core.version import __version__
+from cosim.core.text import append_unit, counted, plain, split_sentence, written
 from cosim.linearization.linear_model import Linear, Pole, poles
 from cosim.linearization.write import Outcome, headline, number, pole_rows
-from cosim.report.charts import Abscissa, Charts, Plot
-from cosim.report.html_tables import Badge
+from cosim.report.charts import Charts, Plot
 from cosim.report.panels import Panel, Trace
 from cosim.report.template import render
 
@@ -32,73 +30,55 @@ def page(outcome: Outcome) -> str:
     linear, structure, charts = outcome.first, outcome.structure, Charts()
     times = np.array([m.point.time for m in outcome.linear])
     description = f"{outcome.title}, linearised at t = {plain(linear.point.time)} s: {linear.method}."
+    plots = []
+    if structure.poles:
+        plots.append(pole_map(structure.poles, charts))
     if len(times) > 1:
         description += (
             f" {len(times)} times from {plain(times[0])} to {plain(times[-1])} s; this page shows the first, "
             "linear.json and linear.mat contain all."
         )
+        real = np.array([sorted(poles(m.A).real) for m in outcome.linear]).reshape(len(times), -1)
+        traces = [Trace(f"{j + 1}", real[:, j], f"s{j % 6}") for j in range(real.shape[1])]
+        plots += charts.over(times).plots([Panel("Real parts of the poles", "1/s", traces)])
     stability, reach = split_sentence(headline(structure, linear))
     omega = frequencies(linear)
     bode = bode_panels(linear, omega)
-    shown = bode[:MAX_PAIRS]
-    if shown:
-        drawing = charts.over(omega, Abscissa(("frequency", "rad/s"), log=True))
-    plots = [(name, tuple(drawing.plots(pair))) for name, *pair in shown]
-    pole_plot = pole_map(structure.poles, charts) if structure.poles else None
-    along = None  # the poles' real parts over several times
-    if len(times) > 1:
-        real = np.array([sorted(poles(m.A).real) for m in outcome.linear]).reshape(len(times), -1)
-        traces = [Trace(f"{j + 1}", real[:, j], f"s{j % 6}") for j in range(real.shape[1])]
-        (along,) = charts.over(times).plots([Panel("Real parts of the poles", "1/s", traces)])
+    drawing = charts.over(omega, ("frequency", "rad/s"), log=True) if bode else None
     stable = "asymptotically stable" if linear.at_rest else "all poles in the left half-plane"
-    rates = [number(v) for v in linear.rates]
-    at_point = [
-        {"name": n, "unit": written(linear.units.get(n, "")), "value": number(v), "rate": rate}
-        for n, v, rate in zip(
-            (*linear.states, *linear.inputs),
-            (*linear.point.states, *linear.point.inputs),
-            (*rates, *[""] * len(linear.inputs)),
-            strict=True,
-        )
-    ]
+    names, rates = (*linear.states, *linear.inputs), [*map(number, linear.rates), *[""] * len(linear.inputs)]
+    point = zip(names, map(number, (*linear.point.states, *linear.point.inputs)), rates, strict=True)
     matrices = []
     for name in "ABCD":
         matrix, rows, columns = linear.matrix(name)
         texts = [(n, [number(v) if v else "" for v in row]) for n, row in zip(rows, matrix, strict=True)]
         fits = len(columns) <= MAX_COLUMNS and len(rows) <= 4 * MAX_COLUMNS
         matrices.append({"name": name, "columns": columns, "fits": fits, "rows": texts})
-    return render(
-        TEMPLATE,
-        {
-            "name": PurePath(outcome.name).name,
-            "description": description,
-            "outcome": stability,
-            "reach": reach,
-            "badges": [
-                Badge(counted(len(linear.states), "state")),
-                Badge(counted(len(linear.inputs), "input")),
-                Badge(counted(len(linear.outputs), "output")),
-                Badge(stable, "good") if structure.stable else Badge(f"not {stable}", "plain"),
-                Badge("equilibrium", "good")
-                if linear.at_rest
-                else Badge("not an equilibrium: derivatives are not zero"),
-            ],
-            "notes": outcome.notes,
-            "point": at_point,
-            "time": plain(linear.point.time),
-            "map": pole_plot,
-            "poles": pole_rows(structure),
-            "rank": (structure.controllable, structure.observable, len(linear.states)),
-            "condition": number(structure.condition) if math.isfinite(structure.condition) else "",
-            "bode": plots,
-            "left_out": len(bode) - len(shown),
-            "along": along,
-            "data": charts.data(),  # after all drawings
-            "matrices": matrices,
-            "largest": MAX_COLUMNS,
-            "version": __version__,
-        },
-    )
+    values = {
+        "name": PurePath(outcome.name).name,
+        "description": description,
+        "outcome": stability,
+        "reach": reach,
+        "badges": [
+            *(counted(len(getattr(linear, f"{noun}s")), noun) for noun in ("state", "input", "output")),
+            (stable, "good") if structure.stable else f"not {stable}",
+            ("equilibrium", "good") if linear.at_rest else "not an equilibrium: derivatives are not zero",
+        ],
+        "notes": outcome.notes,
+        "point": [
+            (n, append_unit(value, written(linear.units.get(n, ""))), rate or "input") for n, value, rate in point
+        ],
+        "time": plain(linear.point.time),
+        "plots": plots,
+        "poles": pole_rows(structure),
+        "rank": (structure.controllable, structure.observable, len(linear.states)),
+        "condition": number(structure.condition) if math.isfinite(structure.condition) else "",
+        "bode": drawing.plots([panel for pair in bode[:MAX_PAIRS] for panel in pair]) if drawing else [],
+        "left_out": len(bode[MAX_PAIRS:]),
+        "matrices": matrices,
+        "largest": MAX_COLUMNS,
+    }
+    return render(TEMPLATE, values, charts)
 
 
 def pole_map(every: Sequence[Pole], charts: Charts) -> Plot:
@@ -127,7 +107,7 @@ def frequencies(linear: Linear) -> Array:
     return np.asarray(10.0 ** np.linspace(np.floor(np.log10(low)), np.ceil(np.log10(high)), POINTS))
 
 
-def bode_panels(linear: Linear, omega: Array) -> list[tuple[str, Panel, Panel]]:
+def bode_panels(linear: Linear, omega: Array) -> list[tuple[Panel, Panel]]:
     """Return panels of magnitude and phase of each output, with a curve for each input that affects it."""
     g = np.asarray(linear.ss()(1j * omega, squeeze=False))  # (outputs, inputs, frequencies)
     sizes = np.abs(g).max(axis=2, initial=0.0)
@@ -135,16 +115,15 @@ def bode_panels(linear: Linear, omega: Array) -> list[tuple[str, Panel, Panel]]:
     with np.errstate(divide="ignore", invalid="ignore"):
         decibels = 20.0 * np.log10(np.abs(g))
     decibels[~np.isfinite(decibels)] = np.nan
-    phases = np.degrees(np.unwrap(np.angle(g)))
+    kinds = ("magnitude", "dB", decibels), ("phase", "°", np.degrees(np.unwrap(np.angle(g))))
     figures = []
     for i, name in enumerate(linear.outputs):
         inputs = np.flatnonzero(acting[i]).tolist()
         for first in range(0, len(inputs), CURVES_PER_PANEL):
-            chosen = inputs[first : first + CURVES_PER_PANEL]
-            traces = [
-                [Trace(linear.inputs[k], values[i, k], f"s{j}") for j, k in enumerate(chosen)]
-                for values in (decibels, phases)
-            ]
-            size, phase = Panel(f"{name}: magnitude", "dB", traces[0]), Panel(f"{name}: phase", "°", traces[1])
-            figures.append((name, size, phase))
+            chosen = [*enumerate(inputs[first : first + CURVES_PER_PANEL])]
+            size, phase = (
+                Panel(f"{name}: {kind}", unit, [Trace(linear.inputs[k], values[i, k], f"s{j}") for j, k in chosen])
+                for kind, unit, values in kinds
+            )
+            figures.append((size, phase))
     return figures

@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from itertools import combinations
 
 import numpy as np
 
-from cosim.core.arrays import Array
+from cosim.core.arrays import Array, NamedValues
 from cosim.core.errors import Fault, InputError
 from cosim.core.linear_algebra import least_squares
 from cosim.core.text import amount, counted, percent, plain
 from cosim.core.units import DEGREES
-from cosim.logs.channel_noise import noise_level
-from cosim.logs.log import MISSING, TURN, Finding, Log, Severity, name_list
+from cosim.logs.log import MISSING, TURN, Finding, Log, Severity, name_list, noise_level
 from cosim.logs.model_comparison import input_unit_findings
 from cosim.logs.spikes import Spikes, find_spikes, out_of_line
 from cosim.model.planar import PlanarFrame
@@ -41,7 +40,7 @@ def gate(
     rate: float | None = None,
     traits: Traits | None = None,
     spikes: Spikes | None = None,
-    starts: Mapping[str, float] | None = None,
+    starts: NamedValues | None = None,
 ) -> list[Finding]:
     """Return all findings on a log, faults first.
 
@@ -161,7 +160,7 @@ def _inputs(log: Log) -> Iterator[Finding]:
     """Yield findings on each input (RMS, 95 % power bandwidth, saturation), and on inseparable inputs."""
     moving = {}
     for name, values in log.inputs.items():
-        if np.count_nonzero(np.diff(values)) < 3 or np.ptp(values) <= 1e-9 * np.abs(values).max():
+        if np.ptp(values) <= 1e-9 * np.abs(values).max():
             message = (
                 f"is constant at {amount(float(np.median(values)), log.units[name])}: it gives no excitation, and "
                 "effects that act only through it cannot be identified"

@@ -1,4 +1,4 @@
-"""Measured logs from CSV files with `time` and the model's inputs and outputs; faults have a place."""
+"""Measured logs from CSV files with `time` and the model's inputs and outputs, and the noise of their channels."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Collection, Container, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from itertools import islice, pairwise
+from itertools import islice, pairwise, permutations
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Literal
@@ -14,7 +14,7 @@ from typing import Any, Literal
 import numpy as np
 
 from cosim.blocks.component import Signal
-from cosim.core.arrays import Array, Rows
+from cosim.core.arrays import Array, NamedArrays, NamedValues, Rows
 from cosim.core.errors import Fault, refuse
 from cosim.core.text import closest, did_you_mean
 from cosim.core.units import Conversion, alternatives, assume_si, conversion
@@ -36,7 +36,8 @@ DRIFT = 2.0  # steps by which the last row of a log may be off before rows count
 SHORT = 5.0  # percentile of the spacings of an irregular clock [%]
 MISSING = 1.5  # steps between rows from which a row is missing
 SMOOTH = 0.5  # share of the error of holding up to which interpolation is the better guess
-SENSORS = "sensors"  # kind of a finding on claimed errors of sensors
+NORMAL_95 = 1.96  # 95 % limits of a normal distribution, in standard deviations
+APART = 1.5  # multiple of the usual span of five readings beyond which readings are no neighbours
 Severity = Literal["note", "warning", "fault"]
 
 
@@ -63,8 +64,8 @@ class Log:
 
     path: Path
     time: Array
-    inputs: Mapping[str, Array]
-    outputs: Mapping[str, Array]
+    inputs: NamedArrays
+    outputs: NamedArrays
     units: Mapping[str, str]
     step: float
     written: Mapping[str, str]
@@ -118,7 +119,7 @@ class Finding:
     kind: str
     channel: str
     sentence: str
-    numbers: Mapping[str, float] = field(default_factory=dict)
+    numbers: NamedValues = field(default_factory=dict)
 
     @property
     def whole(self) -> str:
@@ -193,6 +194,36 @@ def read_log(
         by = by or Conversion()
         return Use(name, by.factor, by.offset, role)
 
+    def check_header(table: Table) -> None:
+        """Record faults of missing inputs and outputs."""
+        line, outputs = table.header, [name for name in units if name not in into]
+        for column, name in columns.items():
+            if name not in (*units, "time"):
+                cure = f"{did_you_mean(name, units)} (it has {name_list(units)})"
+                faults.note(line, 1, f'column "{column}" is assigned to {name}, which the model does not have{cure}')
+            elif name != "time" and column not in cells and (alone or name not in table):
+                faults.note(line, 1, f'has no column "{column}"{did_you_mean(column, cells)} for {name}')
+        missing = [name for name in into if name not in table]
+        similar = {name: close for name in missing if (close := closest(name, unread))}
+        cure = "if columns have other names, use --column COLUMN=VARIABLE, or `columns` in a study"
+        # a log belongs to the model if it has one of its columns, or a name similar to one of its signals
+        known = columns or len(unread) > HINTS or any(name in table or closest(name, unread) for name in units)
+        if missing and not known:
+            other = "check a log of another model with --model FILE:CLASS, and replay it with --fmu FMU"
+            faults.note(line, 1, f"has no column of the model: {name_list(units)}; {other}; {cure}")
+            return
+        every = f"a log needs every input of the model: {name_list(into)}"
+        for name in missing:
+            if close := similar.get(name):
+                message = f'"{close}" is not a signal of the model; did you mean "{name}", which is missing'
+                faults.note(line, cells[close], f"{message}? A{every[1:]}")
+            else:
+                faults.note(line, 1, f'input "{name}" is missing; {every}; {cure}')
+        if outputs and not missing and not any(name in table for name in outputs):
+            hints = "".join(dict.fromkeys(unread.values()))
+            message = f"has no output of the model{hints}; it needs at least one of {name_list(outputs)}; {cure}"
+            faults.note(line, 1, message)
+
     times = [column for column, name in columns.items() if name == "time"]
     table = read_table(faults, use, "inputs and outputs", names=frozenset((*units, *columns)), times=times)
     if table is not None:
@@ -201,7 +232,7 @@ def read_log(
             close = closest(written, missing, ALIKE) or closest(written.rpartition(".")[2], missing, ALIKE)
             unread[written] = f'; did you mean "{close}"?' if close else ""
         if declare is None:
-            _check_header(table, faults, into, units, renamings=columns, alone=alone, unread=unread, cells=cells)
+            check_header(table)
         elif len(cells) < 2:
             faults.note(table.header, 1, "has no column besides the time; a log needs inputs and measured outputs")
         if not table.faults:
@@ -236,56 +267,6 @@ def read_log(
         {column.name: column.cell for column in table.columns},
         table.assumed,
     )
-
-
-def _check_header(
-    table: Table,
-    faults: Faults,
-    inputs: Collection[str],
-    signals: Collection[str],
-    *,
-    renamings: Mapping[str, str],
-    alone: bool,
-    unread: Mapping[str, str],
-    cells: Mapping[str, int],
-) -> None:
-    """Record faults of missing inputs and outputs; `signals` has both."""
-    line, outputs = table.header, [name for name in signals if name not in inputs]
-    for column, name in renamings.items():
-        if name == "time":
-            continue
-        if name not in signals:
-            cure, names = did_you_mean(name, signals), name_list(signals)
-            faults.note(
-                line,
-                1,
-                f'column "{column}" is assigned to {name}, which the model does not have{cure} (it has {names})',
-            )
-        elif column not in cells and (alone or name not in table):
-            faults.note(line, 1, f'has no column "{column}"{did_you_mean(column, cells)} for {name}')
-    missing = [name for name in inputs if name not in table]
-    # a log belongs to the model if it has one of its columns, or a name similar to one of its signals
-    known = renamings or len(unread) > HINTS or any(name in table for name in signals)
-    other = "if columns have other names, use --column COLUMN=VARIABLE, or `columns` in a study"
-    if missing and not known and not any(closest(name, unread) for name in signals):
-        message = (
-            f"has no column of the model: {name_list(signals)}; check a log of another model "
-            f"with --model FILE:CLASS, and replay it with --fmu FMU; {other}"
-        )
-        faults.note(line, 1, message)
-        return
-    every = f"a log needs every input of the model: {name_list(inputs)}"
-    for name in missing:
-        if close := closest(name, unread):
-            message = f'"{close}" is not a signal of the model; did you mean "{name}", which is missing? A{every[1:]}'
-            faults.note(line, cells[close], message)
-        else:
-            cure = f"if its column has another name, use --column COLUMN={name}, or `columns` in a study"
-            faults.note(line, 1, f'input "{name}" is missing; {every}; {cure}')
-    if outputs and not missing and not any(name in table for name in outputs):
-        cure = "".join(dict.fromkeys(unread.values()))
-        message = f"has no output of the model{cure}; it needs at least one of {name_list(outputs)}; {other}"
-        faults.note(line, 1, message)
 
 
 def _check_values(table: Table, faults: Faults, complete: Container[str]) -> None:
@@ -434,3 +415,48 @@ def fill_holes(log: Log) -> Log:
     inputs = {n: np.interp(rows, grid, v) if n in smooth else v[before] for n, v in log.inputs.items()}
     outputs = {n: np.where(grid[before] == rows, v[before], np.nan) for n, v in log.outputs.items()}
     return replace(log, time=np.interp(rows, grid, log.time), inputs=inputs, outputs=outputs)
+
+
+# -- white noise of a channel, from its readings alone or with a model -------------------------------
+
+
+def noise_level(values: Array) -> float:
+    """Return the white-noise level of a smooth signal, by a robust estimate; NaN for fewer than 5 values.
+
+    The signal's fourth derivative times h⁴/6 counts as noise.
+    """
+    return white_noise(surprise(values))
+
+
+def least_noise_level(values: Array, model: Array) -> float:
+    """Return the noise level of a signal, excluding motion that the model's output explains."""
+    return float(np.fmin(noise_level(values), noise_level(values - model)))
+
+
+def white_noise(deviations: Array) -> float:
+    """Return the standard deviation of white noise, estimated by the median of deviations; NaN without any."""
+    deviations = deviations[np.isfinite(deviations)]
+    return float(1.4826 * np.median(np.abs(deviations))) if deviations.size else math.nan
+
+
+def surprise(values: Array) -> Array:
+    """Return each reading's deviation from its four neighbours, scaled to the noise level; NaN if unknown.
+
+    The cubic through two neighbours on each side predicts y_k, for equal rows as (−1, 4, 4, −1)/6; white noise σ gives
+    a difference of σ·√(1 + Σ w²). Neighbours of a slow sensor are its own samples, but not across a gap.
+    """
+    deviations = np.full(values.size, np.nan)
+    rows = np.flatnonzero(np.isfinite(values))
+    if rows.size < 5:
+        return deviations
+    near = np.lib.stride_tricks.sliding_window_view(rows, 5)
+    span = near[:, 4] - near[:, 0]
+    near = near[span <= APART * np.median(span)]
+    centre, others = near[:, 2], near[:, [0, 1, 3, 4]]
+    distances = (others - centre[:, None]).astype(np.float64)
+    weights = np.ones_like(distances)
+    for j, i in permutations(range(4), 2):  # Lagrange weights at the centre
+        weights[:, j] *= distances[:, i] / (distances[:, i] - distances[:, j])
+    predicted = np.sum(weights * values[others], axis=1)
+    deviations[centre] = (values[centre] - predicted) / np.sqrt(1.0 + np.sum(weights**2, axis=1))
+    return deviations

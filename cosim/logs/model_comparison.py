@@ -9,11 +9,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cosim.core.arrays import Array, correlation_at_lags
+from cosim.core.arrays import Array, NamedArrays, NamedValues, correlation_at_lags
 from cosim.core.text import amount, plain
 from cosim.core.units import alternatives, factor
-from cosim.logs.channel_noise import noise_level
-from cosim.logs.log import Finding, Log
+from cosim.logs.log import Finding, Log, noise_level
 
 OTHER_SIZE = 5.0  # ratio to the model from which a size is another one
 SAME_SIZE = (0.7, 1.4)  # ratio to the model within which a size is the same
@@ -34,9 +33,7 @@ DIRECTIONS = {  # likely causes of a delay: of a positive one, of a negative one
 }
 
 
-def input_unit_findings(
-    log: Log, starts: Mapping[str, float], bounds: Mapping[str, tuple[float, float]]
-) -> Iterator[Finding]:
+def input_unit_findings(log: Log, starts: NamedValues, bounds: Mapping[str, tuple[float, float]]) -> Iterator[Finding]:
     """Yield findings on inputs whose size fits the model only in another unit.
 
     Args:
@@ -69,12 +66,12 @@ def other_unit(name: str, unit: str, ratio: float, around: tuple[float, float] =
     return other and f'if its unit is {other}, rename the column to "{name} [{other}]"'
 
 
-def output_findings(log: Log, model: Mapping[str, Array]) -> list[Finding]:
+def output_findings(log: Log, model: NamedArrays) -> list[Finding]:
     """Return findings on outputs that are late, in another unit, sign-reversed or swapped relative to the model."""
     return [*scales(log, model), *swaps(log, model), *delays(log, model)]
 
 
-def delays(log: Log, model: Mapping[str, Array]) -> Iterator[Finding]:
+def delays(log: Log, model: NamedArrays) -> Iterator[Finding]:
     """Yield findings on channels with a delay of at least half a row; slow channels are too uncertain."""
     estimates = {n: d for n, y in log.outputs.items() if n in model and (d := delay(log, y, model[n])) is not None}
     fastest = max((d.frequency for d in estimates.values()), default=0.0)
@@ -91,7 +88,7 @@ def delays(log: Log, model: Mapping[str, Array]) -> Iterator[Finding]:
         yield Finding("warning" if serious else "note", "delay", name, message, {"delay": time, "error": error})
 
 
-def scales(log: Log, model: Mapping[str, Array]) -> Iterator[Finding]:
+def scales(log: Log, model: NamedArrays) -> Iterator[Finding]:
     """Yield findings on channels in another unit or with the opposite sign."""
     for name, measured in log.outputs.items():
         if name not in model or (fit := fit_slope(log, measured, model[name])) is None:
@@ -128,7 +125,7 @@ def scales(log: Log, model: Mapping[str, Array]) -> Iterator[Finding]:
                 )
 
 
-def swaps(log: Log, model: Mapping[str, Array]) -> Iterator[Finding]:
+def swaps(log: Log, model: NamedArrays) -> Iterator[Finding]:
     """Yield findings on pairs of outputs that follow each other's prediction better than their own, at any delay."""
     names = [name for name in log.outputs if name in model]
     for one, other in combinations(names, 2):

@@ -12,9 +12,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from cosim.core.arrays import Array, Rows
-from cosim.logs.channel_noise import noise_level, surprise
-from cosim.logs.log import Log
+from cosim.core.arrays import Array, NamedArrays, Rows
+from cosim.logs.log import Log, noise_level, surprise
 
 JUMP = 0.05  # share of an input's range, and 8 times its usual change, that may cause a kink
 ANSWER = 0.1  # [s] after the jump, and 5 rows, for the response
@@ -26,7 +25,7 @@ ASTRAY = 0.4  # share of WILD for members of a group: two in a row partly hide e
 UNCERTAINTY, LATENESS = 2.0, 2  # uncertainty of a sharp prediction: factor of size, and rows of time
 
 Spikes = Mapping[str, Rows]
-Prediction = Callable[[Spikes], Mapping[str, Array]]  # model outputs by name, computed without suspect readings
+Prediction = Callable[[Spikes], NamedArrays]  # model outputs by name, computed without suspect readings
 
 
 def find_spikes(log: Log, predict: Prediction | None = None) -> dict[str, Rows]:
@@ -35,7 +34,7 @@ def find_spikes(log: Log, predict: Prediction | None = None) -> dict[str, Rows]:
     Args:
         predict: Model outputs in the rows of the log; called only for suspect readings.
     """
-    suspects = {name: rows for name, values in log.outputs.items() if (rows := _suspects(log, values)).size}
+    suspects = {name: rows for name, values in log.outputs.items() if (rows := _suspects(values)).size}
     if not suspects:
         return {}
     model = {} if predict is None else predict(suspects)
@@ -80,27 +79,14 @@ def out_of_line(log: Log, values: Array) -> Array:
     return np.asarray(SCALE * np.abs(np.nan_to_num(np.where(complete, surprise(whole), 0.0)[place])))
 
 
-def _suspects(log: Log, values: Array) -> Rows:
-    """Return the rows of readings that deviate from agreeing neighbours."""
-    level = noise_level(values) * SCALE
-    if not level > 0.0:
-        return np.zeros(0, np.intp)
-    limit = WILD * level
-    rest = values.copy()
-    rest[_outlier_groups(values, limit)] = np.nan
-    deviation = out_of_line(log, rest)
-    around = np.max([np.roll(deviation, k) for k in (-2, -1, 1, 2)], axis=0)
-    peaks = np.flatnonzero((deviation > limit) & (deviation >= around))
-    rest[[k for k in peaks.tolist() if _neighbours_agree(rest, k, limit)]] = np.nan
-    return np.flatnonzero(np.isfinite(values) & np.isnan(rest))
-
-
-def _outlier_groups(values: Array, limit: float) -> list[int]:
-    """Return the rows of groups of outliers.
+def _suspects(values: Array) -> Rows:
+    """Return the rows of outliers, alone or in groups.
 
     In a stretch of deviating readings, the outliers deviate from the cubic through three readings on each side.
     """
-    rows = np.flatnonzero(np.isfinite(values))
+    rows, limit = np.flatnonzero(np.isfinite(values)), WILD * SCALE * noise_level(values)
+    if not limit > 0.0:
+        return rows[:0]
     deviation = np.nan_to_num(np.abs(surprise(values[rows]))) * SCALE
     astray = deviation > ASTRAY * limit
     astray[1:-1] |= astray[:-2] & astray[2:]
@@ -117,7 +103,7 @@ def _outlier_groups(values: Array, limit: float) -> list[int]:
         runs = np.split(wild, np.flatnonzero(np.diff(wild) > 1) + 1)
         if 0 < wild.size <= MOST and max(run.size for run in runs) <= ADJACENT:
             outliers += wild.tolist()
-    return outliers
+    return np.array(outliers, np.intp)
 
 
 def _rows_off_cubic(y: Array, rows: Rows, limit: float) -> Rows:
@@ -133,14 +119,3 @@ def _rows_off_cubic(y: Array, rows: Rows, limit: float) -> Rows:
     if abs(y1 - y0 - slope * (t1 - t0)) > 0.5 * deviation.max():  # a step, not an outlier
         return rows[:0]
     return np.asarray(rows[inside[(deviation > limit) & (deviation > 0.5 * deviation.max())]])
-
-
-def _neighbours_agree(values: Array, k: int, limit: float) -> bool:
-    """Return True if the readings around row k change evenly when row k is ignored."""
-    if not 2 <= k < values.size - 2:
-        return False
-    before, after = values[k - 2 : k], values[k + 1 : k + 3]
-    slope = (after[0] - before[1]) / 2.0
-    bends = (before[1] - before[0] - slope, after[1] - after[0] - slope)
-    middle = abs(values[k] - 0.5 * (before[1] + after[0]))
-    return bool(max(map(abs, bends)) < 0.5 * min(middle, limit) or max(map(abs, bends)) < 0.25 * middle)

@@ -48,7 +48,6 @@ from cosim.master.policies import (
     Active,
     ControlledSteps,
     EqualSteps,
-    HalvedSteps,
     Policy,
     Round,
     SavedPoint,
@@ -232,8 +231,6 @@ class Master:
         if system.control is not None:
             self.controlled = ControlledSteps(self, system.control)
         policy: Policy | CompiledSteps | None = self.instants or self.controlled
-        if system.halved:
-            policy = HalvedSteps(self)
         if policy is None:
             if system.courses[0] > 1:
                 self._estimate_slopes()

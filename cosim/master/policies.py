@@ -206,40 +206,6 @@ def advance_of(master: Master, stages: Sequence[Stage]) -> Callable[[int, float,
         return partial(master.advance, actives)
 
 
-class HalvedSteps(Policy):
-    """Equal steps, each made once whole and once in halves, to estimate the coupling error.
-
-        e_k = |y(t_k; h) − y(t_k; h/2, h/2)|, both from the state at t_k−1
-
-    Rows hold the differences, zero in the first row. The run goes on from the whole steps.
-    """
-
-    reason = "steps are halved"
-
-    def __init__(self, master: Master) -> None:
-        self.master, self._advance = master, advance_of(master, master.system.stages)
-        self._fmus = [c for c in master.components if isinstance(c, FmuBlock)]
-        self._whole: SavedPoint | None = None
-        master.table[0] = 0.0
-
-    def advance_to(self, k: int) -> None:
-        """Step once whole and once in halves."""
-        master = self.master
-        if self._whole is not None:
-            self._whole.restore_signals()
-        t, end = (master.system.start + j * master.h for j in (k - 1, k))
-        before, middle = SavedPoint(master, self._fmus), 0.5 * (t + end)
-        self._advance(k, t, end)
-        values, self._whole = master.values.copy(), SavedPoint(master, self._fmus)
-        before.restore()
-        before.check_outputs(t)
-        for since, until in ((t, middle), (middle, end)):
-            self._advance(k, since, until)
-        differences = np.abs(values - master.values)
-        self._whole.restore()
-        master.values[:] = differences
-
-
 class ControlledSteps(Policy):
     """Steps of a run under control, from its first row on.
 

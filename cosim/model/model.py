@@ -300,19 +300,14 @@ class Model(Parametric):
         Raises:
             KeyError: A name is unknown.
         """
-        names = {p.name for p in self.parameters}
-        grouped: dict[str, dict[str, Number]] = {}
-        for name in values.keys() - names:
-            effect, _, parameter_name = name.partition(".")
-            grouped.setdefault(effect, {})[parameter_name] = values[name]
-        model = replace(self, **{name: v for name, v in values.items() if name in names})
-        kinds = {kind.name: kind for kind in self.catalogue}
-        terms = {e.name: e for e in self.effects}
-        for name, changes in grouped.items():
-            term = terms.get(name) or kinds[name]()
-            if unknown := changes.keys() - {p.name for p in parameters_of(term)}:
-                raise KeyError(f"{name}.{sorted(unknown)[0]}")
-            model = model.with_effect(replace(term, **changes))
+        if unknown := values.keys() - self.declared.keys():
+            raise KeyError(sorted(unknown)[0])
+        model = replace(self, **{name: v for name, v in values.items() if "." not in name})
+        present = {type(e): e for e in self.effects}
+        for kind in self.catalogue:
+            named = {p.name: f"{kind.name}.{p.name}" for p in parameters_of(kind)}
+            if changes := {n: values[name] for n, name in named.items() if name in values}:
+                model = model.with_effect(replace(present.get(kind) or kind(), **changes))
         return model
 
     def with_substep(self, substep: float | None, integrator: str | None = None) -> Self:

@@ -6,9 +6,11 @@ An FMU built by cosim stores these traits in its description, for use without th
 from __future__ import annotations
 
 import math
+import random
 from collections.abc import Container, Mapping
 from dataclasses import dataclass, field
 
+from cosim.model.duals import Dual, DualNamespace
 from cosim.model.model import Model
 from cosim.model.namespaces import SCALAR
 from cosim.model.planar import PlanarFrame
@@ -49,30 +51,19 @@ def rate_of(name: str, names: Container[str]) -> str | None:
 
 def rates_of(model: Model) -> dict[str, str]:
     """Return the outputs whose derivative is another output, confirmed by the equations: name → derivative."""
-    import numpy as np
-
     names = [q.name for q in model.outputs]
     pairs = {name: rate for name in names if (rate := rate_of(name, names))}
-    if not pairs:
-        return {}
-    place, rng, samples = {name: k for k, name in enumerate(names)}, np.random.default_rng(1), 0
-    derivative, output = model.acting(SCALAR)
-    for _ in range(3):  # outputs at a random state near the start, and their slopes [1/s]
-        start = (np.array(values, dtype=np.float64) for values in (model.start(), model.start_command()))
-        x, u = (v + 0.1 * (1.0 + np.abs(v)) * rng.standard_normal(v.size) for v in start)
-        command = tuple(u.tolist())
+    generator, samples = random.Random(1), 0
+    derivative, output = model.acting(SCALAR).derivative, model.acting(DualNamespace()).output
+    for _ in range(3 if pairs else 0):  # outputs at a random state near the start, and their slopes along the motion
+        groups = model.start(), model.start_command()
+        x, u = (tuple(v + 0.1 * (1.0 + abs(v)) * generator.gauss(0.0, 1.0) for v in group) for group in groups)
         try:
-            with np.errstate(all="ignore"):
-                f = np.array(derivative(0.0, tuple(x.tolist()), command))
-                # [s], small relative to any time constant
-                h = 1e-6 / (1.0 + float(np.max(np.abs(f) / (1.0 + np.abs(x)), initial=0.0)))
-                points = (tuple((x + s * h * f).tolist()) for s in (0.0, -1.0, 1.0))
-                values, before, after = (np.array(output(0.0, point, command)) for point in points)
-                slopes = (after - before) / (2.0 * h)
-        except (ArithmeticError, ValueError):  # a root or logarithm is undefined at this state
+            motion = tuple(Dual(v, [rate]) for v, rate in zip(x, derivative(0.0, x, u), strict=True))
+            outputs = dict(zip(names, output(0.0, motion, u), strict=True))
+        except (ArithmeticError, ValueError, TypeError):  # undefined at this state, or not for dual numbers
             continue
         samples += 1
-        pairs = {
-            n: r for n, r in pairs.items() if abs(slopes[place[n]] - values[place[r]]) <= 1e-3 * abs(values[place[r]])
-        }
+        values = {n: (y.value, y.slopes[0]) if isinstance(y, Dual) else (y, 0.0) for n, y in outputs.items()}
+        pairs = {n: r for n, r in pairs.items() if abs(values[n][1] - values[r][0]) <= 1e-3 * abs(values[r][0])}
     return pairs if samples else {}

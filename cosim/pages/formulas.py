@@ -5,7 +5,7 @@ from __future__ import annotations
 import ast
 import operator
 import threading
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
@@ -95,35 +95,29 @@ def evaluate(text: str, signals: Mapping[str, tuple[Recording, str]], name: str 
                 rows, signal = signals[letter]
                 values = rows.read(signal)
                 return values if rows is own else np.interp(time, rows.read(TIME), values, np.nan, np.nan)
-            case ast.Name(id=letter):
-                names = ", ".join([*signals, "t"])
-                raise InputError.at(Path("formula"), f"{letter} is not assigned to a signal; use {names}")
             case ast.UnaryOp(op=op, operand=operand) if type(op) in OPERATORS:
                 return OPERATORS[type(op)](value(operand))
             case ast.BinOp(op=op, left=left, right=right) if type(op) in OPERATORS:
                 return OPERATORS[type(op)](value(left), value(right))
-            case ast.Call(func=ast.Name(id=function), args=arguments, keywords=[]):
-                return call(function, [value(each) for each in arguments])
-        return refuse("a part of it is not allowed")
+            case ast.Call(func=ast.Name(id=function), args=arguments, keywords=[]) if function in FUNCTIONS:
+                count = 2 if function in BINARY or function == "lowpass" else 1
+                if len(arguments) != count:
+                    refuse(f"{function} takes {counted(count, 'argument')}")
+                values = [value(each) for each in arguments]
+                return PLAIN[function](*values) if function in PLAIN else over_time(function, *values)
+        return refuse(f"{ast.unparse(node)} is not allowed")
 
-    def call(function: str, arguments: Sequence[Any]) -> Any:
-        if function not in FUNCTIONS:
-            refuse(f"{function} is not a function")
-        count = 2 if function in BINARY or function == "lowpass" else 1
-        if len(arguments) != count:
-            refuse(f"{function} takes {counted(count, 'argument')}")
-        if function in PLAIN:
-            return PLAIN[function](*arguments)
-        if function == "lowpass" and (np.ndim(arguments[1]) or not float(arguments[1]) >= 0.0):
+    def over_time(function: str, values: Any, *constants: Any) -> Array:
+        if any(np.ndim(c) or not float(c) >= 0.0 for c in constants):
             refuse("the time constant of lowpass must be a number [s]")
-        values, out = np.broadcast_to(arguments[0], time.shape), np.full(time.size, np.nan)
+        values, out = np.broadcast_to(values, time.shape), np.full(time.size, np.nan)
         rows = np.flatnonzero(np.isfinite(values))
         wide = np.flatnonzero(np.diff(rows) > 1)
         if function == "integral" and wide.size:
             longest = float(np.max(time[rows[wide + 1]] - time[rows[wide]]))
             gaps = f"{counted(wide.size, 'gap')} without values, at most {longest:.3g} s"
             notes.append(f"{name or text}: {gaps}, interpolated linearly")
-        out[rows] = OVER_TIME[function](time[rows], values[rows], *map(float, arguments[1:]))
+        out[rows] = OVER_TIME[function](time[rows], values[rows], *map(float, constants))
         return out
 
     if not signals or len(text) > LONGEST:
@@ -180,18 +174,14 @@ class Derivations:
         with self._lock:
             before, self._definitions = self._definitions, {**self._definitions, made: definition}
             try:
-                return self._compute([made, *self._dependents([made])])  # only the new definition may be wrong
-            except CycleError as error:
+                return self._compute({made})  # only the new definition, which comes first, may be wrong
+            except (CycleError, InputError) as error:
                 self._definitions = before
-                # a cycle: each is derived from the next, and the last from the first
-                cycle: list[Signal] = error.args[1][:0:-1]
-                place = cycle.index(made)
-                chain = " ← ".join(signal for _, signal in (*cycle[place:], *cycle[:place], made))
+                if not isinstance(error, CycleError):
+                    raise
+                chain = " → ".join(signal for _, signal in error.args[1])
                 reason = f"{name} would depend on itself: {chain}; use another name"
                 raise InputError.at(Path("name"), reason) from None
-            except (InputError, OSError):
-                self._definitions = before
-                raise
 
     def remove(self, number: int, name: str) -> None:
         """Remove the derived signal `name` of the run with this number.
@@ -203,7 +193,7 @@ class Derivations:
         with self._lock:
             if signal not in self._definitions:
                 raise InputError.at(Path("name"), f"{name} is not a derived signal")
-            if others := [other for _, other in self._dependents([signal])]:
+            if others := [n for (_, n), definition in self._definitions.items() if signal in definition.of.values()]:
                 raise InputError.at(Path("name"), f"{', '.join(others)} is derived from {name}; remove it first")
             del self._definitions[signal], self._notes[signal]
             self._runs[number].rows.remove(name)
@@ -211,36 +201,32 @@ class Derivations:
     def renew(self, numbers: Collection[int]) -> None:
         """Recompute the signals that depend on runs with new rows."""
         with self._lock:
-            uses = [s for definition in self._definitions.values() for s in definition.of.values()]
-            self._compute(self._dependents([s for s in uses if s[0] in numbers and s not in self._definitions]))
+            uses = {signal for definition in self._definitions.values() for signal in definition.of.values()}
+            self._compute({signal for signal in uses - {*self._definitions} if signal[0] in numbers})
 
     def of_run(self, number: int) -> list[dict[str, Any]]:
         """Return the derived signals of a run."""
         return [self._about(signal) for signal in self._definitions if signal[0] == number]
 
-    def _dependents(self, changed: Iterable[Signal]) -> list[Signal]:
-        """Return the derived signals that depend on changed ones, in the order of their computation.
+    def _compute(self, changed: set[Signal]) -> list[dict[str, Any]]:
+        """Compute changed signals, and all that depend on them; return these.
 
         Raises:
             CycleError: A signal depends on itself.
         """
+        found = []
         uses = {made: [*definition.of.values()] for made, definition in self._definitions.items()}
-        affected, found = {*changed}, list[Signal]()
         for signal in TopologicalSorter(uses).static_order():
-            if signal not in affected and affected & {*uses.get(signal, ())}:
-                affected.add(signal)
-                found.append(signal)
-        return found
-
-    def _compute(self, signals: Sequence[Signal]) -> list[dict[str, Any]]:
-        for number, name in signals:
-            definition = self._definitions[number, name]
+            if signal not in uses or not changed & {signal, *uses[signal]}:
+                continue
+            changed, definition, (number, name) = {*changed, signal}, self._definitions[signal], signal
             of = {letter: (self._runs[k].rows, other) for letter, (k, other) in definition.of.items()}
-            values, self._notes[number, name] = evaluate(definition.formula, of, name)
-            rows, signal = of.get(definition.formula.strip(), (None, ""))
-            unit = definition.unit or (rows.unit(signal) if rows is not None else "")
+            values, self._notes[signal] = evaluate(definition.formula, of, name)
+            rows, same = of.get(definition.formula.strip(), (None, ""))
+            unit = definition.unit or (rows.unit(same) if rows is not None else "")
             self._runs[number].rows.add(name, values, unit)
-        return [self._about(signal) for signal in signals]
+            found.append(self._about(signal))
+        return found
 
     def _about(self, signal: Signal) -> dict[str, Any]:
         number, name = signal

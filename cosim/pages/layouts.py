@@ -8,14 +8,12 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, Field, FiniteFloat, ValidationError
 
-from cosim.core.errors import Fault, InputError, refuse
+from cosim.core.errors import InputError
 from cosim.files.files import open_bytes, parse_json, write_json
 
-SCHEMA_VERSION = 1
 LONGEST = 80  # characters of a name
 MOST_AXES = 4  # of a plot
 MOST_BYTES = 1 << 26  # of a file
-MOST_FAULTS = 10  # faults of a file that are reported
 LayoutName = Annotated[str, Field(min_length=1, max_length=LONGEST, pattern=r"\S")]
 
 
@@ -82,22 +80,14 @@ class LayoutFile(BaseModel):
 
 
 def check_layouts(file: Path, content: Any) -> dict[str, Any]:
-    """Return the layouts of a file's content.
-
-    Raises:
-        InputError: The content is not a layout file; all faults are listed with their places.
-    """
-    if not isinstance(content, dict) or content.get("schema_version") != SCHEMA_VERSION:
-        raise InputError.at(file, "is not a layout file of `cosim view`; give another --layout")
+    """Return the layouts of a file's content; raise InputError with the place of the first fault."""
     try:
         LayoutFile.model_validate(content)
     except ValidationError as error:
-        cure = "correct it, or save the layout again on the page"
-        faults = []
-        for fault in error.errors(include_url=False)[:MOST_FAULTS]:
-            place = ".".join(str(part) for part in fault["loc"] if part != "[key]")
-            faults.append(Fault(file, 0, 0, f"{place}: {fault['msg']}; {cure}"))
-        refuse(faults)
+        fault = error.errors(include_url=False)[0]
+        place = ".".join(str(part) for part in fault["loc"] if part != "[key]")
+        cure = "give another --layout, or save the layout again on the page"
+        raise InputError.at(file, f"is not a layout file of `cosim view`: {place}: {fault['msg']}; {cure}") from None
     layouts: dict[str, Any] = content["layouts"]
     return layouts
 
@@ -126,20 +116,16 @@ class Layouts:
 
     def put(self, name: Any, layout: Any) -> dict[str, Any]:
         """Save a layout under a name, or remove it if `layout` is None; return all layouts."""
-        if not isinstance(name, str):
-            raise InputError.at(self.file, "the request has no layout name; give one")
-        if layout is not None:
-            check_layouts(self.file, {"schema_version": SCHEMA_VERSION, "layouts": {name: layout}})
         with self._lock:
             layouts = {key: value for key, value in self.read().items() if key != name}
             if layout is not None:
                 layouts[name] = layout
+            content = {"schema_version": 1, "layouts": layouts}
+            check_layouts(self.file, content)
             try:
                 self.file.parent.mkdir(parents=True, exist_ok=True)
-                write_json(self.file, {"schema_version": SCHEMA_VERSION, "layouts": layouts})
+                write_json(self.file, content)
             except OSError as error:
-                raise InputError.at(
-                    self.file,
-                    f"cannot be written: {error.strerror}; download the layout, or give another --layout",
-                ) from None
+                cure = "download the layout, or give another --layout"
+                raise InputError.at(self.file, f"cannot be written: {error.strerror}; {cure}") from None
         return layouts

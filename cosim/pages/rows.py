@@ -1,55 +1,47 @@
-"""Rows of a run with a pyramid of block extremes, and the points needed to draw a signal.
+"""Rows of a run, extremes of their blocks, and the points needed to draw a signal.
 
-Level 0 contains the rows. A block of level k + 1 contains the smallest and largest value of `FACTOR` blocks of level k.
-Time is a column like the others: its extremes are the first and last time of a block.
+Small tables are kept in memory. Large ones are converted once into the folder `view/HASH` in the user's cache, with
+rows, texts.arrow and about.json; HASH depends on file, size and time of the table.
 """
 
 from __future__ import annotations
 
+import json
+import os
+import shutil
 import threading
+import time
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
+from hashlib import sha256
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Literal
 
 import numpy as np
+import pyarrow as pa
+from pyarrow import feather
 
 from cosim.core.arrays import Array, Rows
-from cosim.files.results import is_rounded
+from cosim.core.errors import InputError
+from cosim.core.messages import printable
+from cosim.core.scratch import process_folder
+from cosim.files.cache import cache_folder
+from cosim.files.files import scratch_folder
+from cosim.files.folders import content_of
+from cosim.files.results import is_rounded, read_results
 
-FACTOR, LEVELS = 16, 3
-GROUP: int = FACTOR**LEVELS  # number of rows up to which a block of the highest level is made
+BLOCK = 32  # rows of a block
 BLOCKS = 4  # minimum number of blocks per pixel column, so that an edge is wrong by at most a quarter of a column
 MAX_ROWS = 2  # rows per pixel column up to which rows are drawn unchanged
+ROOM = 4096  # rows for which a growing recording has room at first
 TIME = "time"
-Extremes = list[tuple[Array, Array]]  # smallest and largest values of the blocks of each level above 0
-Places = Rows | slice
-
-
-def extremes_of(values: Array) -> Extremes:
-    """Return smallest and largest values of the blocks of all levels above 0; missing values are ignored."""
-    low = high = finite(values)
-    levels: Extremes = []
-    for _ in range(LEVELS):
-        pad = np.full(-low.size % FACTOR, np.nan)
-        low = np.fmin.reduce(np.append(low, pad).reshape(-1, FACTOR), axis=1)
-        high = np.fmax.reduce(np.append(high, pad).reshape(-1, FACTOR), axis=1)
-        levels.append((low, high))
-    return levels
 
 
 def finite(values: Array) -> Array:
     """Return values with NaN for infinite ones."""
     return np.where(np.isfinite(values), values, np.nan)
-
-
-def _picked(values: Array, places: Places) -> Array:
-    """Return values at indices; NaN beyond the last value, for signals computed before the last rows arrived."""
-    if isinstance(places, slice):
-        found, count = values[places], places.stop - places.start
-        return found if found.size == count else np.append(found, np.full(count - found.size, np.nan))
-    return np.where(places < values.size, values[np.minimum(places, values.size - 1)], np.nan)
 
 
 @dataclass(frozen=True)
@@ -60,29 +52,31 @@ class Picture:
     of their times. One row beyond each end is included.
 
     Attributes:
-        parts: Levels and indices of their blocks.
+        blocks, rows: Numbers of blocks, and of rows outside of these blocks.
         time: Times of the points [s].
-        order: Order of the blocks of all parts by time.
-        starts: First block of each point; None if the points are rows.
+        order: Order of the blocks and rows by time.
+        starts: First block or row of each point; None if the points are rows.
     """
 
     recording: Recording
-    parts: Sequence[tuple[int, Places]]
+    blocks: Rows
+    rows: Rows | slice
     time: Array
-    order: Places
-    starts: Rows | None = None
+    order: Rows | slice
+    starts: Rows | None
 
     def points(self, name: str) -> tuple[Array, Array]:
         """Return the smallest and largest value of each point of a signal; NaN without a finite value."""
-        blocks = [self.recording.blocks(name, *part) for part in self.parts]
-        low, high = (np.concatenate(side)[self.order] for side in zip(*blocks, strict=True))
+        values = finite(self.recording.column(name)[self.rows])
         if self.starts is None:
-            return low, high
+            return values, values
+        ends = self.recording.extremes(name) if self.blocks.size else (values, values)
+        low, high = (np.append(end[self.blocks], values)[self.order] for end in ends)
         return np.fmin.reduceat(low, self.starts), np.fmax.reduceat(high, self.starts)
 
 
 class Recording:
-    """Time and signals of a run in memory; a subclass keeps its columns in a file.
+    """Time and signals of a run; it may grow, and is safe for several threads.
 
     Attributes:
         units: Signal → unit, "" without unit, in the order of the file.
@@ -98,56 +92,60 @@ class Recording:
         self,
         columns: Mapping[str, Array],
         units: Mapping[str, str],
-        rows: int,
         texts: Mapping[str, Sequence[Any]] = MappingProxyType({}),
     ) -> None:
-        self.units, self.rows, self.texts = dict(units), rows, texts
-        self.added = dict[str, str]()
+        self.units, self.texts, self.added = dict(units), texts, dict[str, str]()
         self.rounded = [name for name in texts if name in columns and is_rounded(columns[name])]
-        self.inexact: list[str] = []
+        self.inexact: Sequence[str] = ()
         self.assumed: Sequence[str] = ()
-        self._columns = dict(columns)
-        self._levels: dict[str, tuple[int, Extremes]] = {}  # column → (number of covered rows, extremes)
+        self._columns = {TIME: np.zeros(0), **columns}
+        self.rows = self._columns[TIME].size
+        self._table = np.empty((1 + len(units), 0))  # of a growing recording, with room for further rows
+        self._extremes: dict[str, tuple[int, Array, Array]] = {}  # column → covered rows, extremes of their blocks
         self._lock = threading.RLock()
+
+    def append(self, values: Array) -> None:
+        """Add rows to a recording that began without any, shape (columns, rows), time first."""
+        with self._lock:
+            before, rows = self.rows, self.rows + values.shape[1]
+            if rows > self._table.shape[1]:
+                table = np.empty((len(values), max(ROOM, 2 * rows)))
+                table[:, :before] = self._table[:, :before]
+                self._table = table
+            self._table[:, before:rows] = values
+            self._columns |= dict(zip((TIME, *self.units), self._table[:, :rows], strict=True))
+            self.rows = rows
 
     def unit(self, name: str) -> str:
         """Return the unit of a signal."""
-        return {**self.units, **self.added}.get(name, "")
+        return (self.units | self.added).get(name, "")
 
     def add(self, name: str, values: Array, unit: str) -> None:
         """Add a computed signal."""
         with self._lock:
             self._columns[name], self.added[name] = values, unit
-            self._levels.pop(name, None)
+            self._extremes.pop(name, None)
 
     def remove(self, name: str) -> None:
         """Remove a computed signal."""
         with self._lock:
             del self._columns[name], self.added[name]
-            self._levels.pop(name, None)
+            self._extremes.pop(name, None)
 
     def column(self, name: str) -> Array:
-        """Return all rows of a column."""
-        return self._columns[name]
-
-    def take(self, name: str, places: Places) -> Array:
-        """Return rows of a column."""
+        """Return all rows of a column; NaN in rows that arrived after a signal was computed."""
         with self._lock:
-            return _picked(self.column(name), places)
+            values = self._columns[name]
+            missing = self.rows - values.size
+            return np.append(values, np.full(missing, np.nan)) if missing > 0 else values
 
     def read(self, name: str, begin: int = 0, end: int | None = None) -> Array:
         """Return the rows `begin` to `end` (exclusive) of a column."""
-        return self.take(name, slice(begin, self.rows if end is None else end))
-
-    def text(self, name: str, row: int) -> str:
-        """Return a text of a row."""
-        return str(self.texts[name][row])
+        return self.column(name)[begin:end]
 
     def exact(self, name: str, begin: int, end: int) -> Array | list[str]:
         """Return the rows `begin` to `end` (exclusive) of a column, as text if doubles cannot represent them."""
-        if name not in self.texts:
-            return self.read(name, begin, end)
-        return [self.text(name, row) for row in range(begin, end)]
+        return [*map(str, self.texts[name][begin:end])] if name in self.texts else self.read(name, begin, end)
 
     def locate(self, time: float, side: Literal["left", "right"] = "left") -> int:
         """Return the number of rows before a time [s]; with `right`, rows at the time are included."""
@@ -158,100 +156,114 @@ class Recording:
         time = self.column(TIME) if self.rows else np.zeros(1)
         return float(time[0]), float(time[-1])
 
-    def blocks(self, name: str, level: int, places: Places) -> tuple[Array, Array]:
-        """Return the smallest and largest values of blocks of a level (of rows at level 0).
-
-        Infinite values are missing.
-        """
-        if not level:
-            values = finite(self.take(name, places))
-            return values, values
+    def extremes(self, name: str) -> tuple[Array, Array]:
+        """Return the smallest and largest finite value of each block of rows."""
         with self._lock:
             values = self.column(name)
-            covered, levels = self._levels.get(name, (0, [(np.empty(0), np.empty(0))] * LEVELS))
+            covered, low, high = self._extremes.get(name, (0, np.empty(0), np.empty(0)))
             if covered != values.size:  # the last block may be incomplete
-                begin = covered // GROUP * GROUP
-                more = zip(levels, extremes_of(values[begin:]), strict=True)
-                levels = [
-                    (np.append(low[: begin // FACTOR**k], new_low), np.append(high[: begin // FACTOR**k], new_high))
-                    for k, ((low, high), (new_low, new_high)) in enumerate(more, 1)
-                ]
-                self._levels[name] = values.size, levels
-            low, high = levels[level - 1]
-            return _picked(low, places), _picked(high, places)
+                begin = covered // BLOCK
+                rest = np.append(finite(values[begin * BLOCK :]), np.full(-values.size % BLOCK, np.nan))
+                low = np.append(low[:begin], np.fmin.reduce(rest.reshape(-1, BLOCK), axis=1))
+                high = np.append(high[:begin], np.fmax.reduce(rest.reshape(-1, BLOCK), axis=1))
+                self._extremes[name] = values.size, low, high
+            return low, high
 
     def picture(self, begin: float, end: float, width: int) -> Picture:
         """Return the rows and blocks to draw for a time range [s] with `width` pixel columns."""
         first, stop = max(0, self.locate(begin) - 1), min(self.rows, self.locate(end, "right") + 1)
+        blocks, time, pixel = np.arange(0), self.column(TIME), (end - begin) / width
         if stop - first <= MAX_ROWS * width:
-            return Picture(self, [(0, slice(first, stop))], self.read(TIME, first, stop), slice(None))
-        pixel, level = (end - begin) / width, 0
-        while level < LEVELS and stop - first >= BLOCKS * width * FACTOR ** (level + 1):
-            level += 1
-        size = FACTOR**level
-        found = self._divide(level, slice(first // size, -(-stop // size)), pixel)
-        since, until = (np.concatenate([part[k] for part in found]) for k in (2, 3))
-        order = np.argsort(since, kind="stable") if len(found) > 1 else slice(None)
+            return Picture(self, blocks, slice(first, stop), time[first:stop], slice(None), None)
+        rows = np.arange(first, stop)
+        if rows.size >= BLOCKS * BLOCK * width:  # blocks that are not wider than a pixel
+            blocks = np.arange(first // BLOCK, -(-stop // BLOCK))
+            is_wide = time[np.minimum((blocks + 1) * BLOCK, time.size) - 1] - time[blocks * BLOCK] > pixel
+            rows = (blocks[is_wide, None] * BLOCK + np.arange(BLOCK)).ravel()
+            blocks, rows = blocks[~is_wide], rows[rows < time.size]
+        since = np.append(time[blocks * BLOCK], time[rows])
+        until = np.append(time[np.minimum((blocks + 1) * BLOCK, time.size) - 1], time[rows])
+        order = np.argsort(since, kind="stable")
         since, until = since[order], until[order]
-        column = np.clip(np.floor((since - begin) / pixel), -1, width)
-        starts = np.flatnonzero(np.diff(column, prepend=-2.0))
-        middle = (since[starts] + until[np.append(starts[1:], column.size) - 1]) / 2
-        return Picture(self, [part[:2] for part in found], middle, order, starts)
-
-    def _divide(self, level: int, places: Places, pixel: float) -> list[tuple[int, Places, Array, Array]]:
-        """Return (level, indices, first time, last time) of blocks; blocks wider than a pixel are divided."""
-        since, until = self.blocks(TIME, level, places)
-        wide = until - since > pixel
-        if level == 0 or not wide.any():
-            return [(level, places, since, until)]
-        numbers = np.arange(places.start, places.stop) if isinstance(places, slice) else places
-        inner = (numbers[wide, None] * FACTOR + np.arange(FACTOR)).ravel()
-        inner = inner[inner * FACTOR ** (level - 1) < self.rows]
-        parts = [(level, numbers[~wide], since[~wide], until[~wide])] if not wide.all() else []
-        return [*parts, *self._divide(level - 1, inner, pixel)]
+        starts = np.flatnonzero(np.diff(np.clip(np.floor((since - begin) / pixel), -1, width), prepend=-2.0))
+        middle = (since[starts] + until[np.append(starts[1:], since.size) - 1]) / 2
+        return Picture(self, blocks, rows, middle, order, starts)
 
 
-class Store(Recording):
-    """Rows in a file that may grow; safe for several threads.
+FOLDER, ROWS, ABOUT, TEXTS, VERSION = "view", "rows", "about.json", "texts.arrow", 7
+UNUSED = 30 * 86_400.0  # age [s] above which a conversion is removed
+DRAFT = "draft-"  # prefix of an unfinished conversion
+SMALL = 4_000_000  # largest table that is kept in memory [bytes]
 
-    The file `rows` has the columns one after another, each with room for further rows.
+
+def open_rows(path: Path, **about: Any) -> Recording:
+    """Return the rows of a table; convert a large one first, unless it is converted already.
+
+    Args:
+        about: Known properties of its columns for `read_results`.
+
+    Raises:
+        InputError: The table has faults, or no rows.
     """
+    status = path.stat() if path.is_file() else None
+    if status is None or status.st_size <= SMALL:
+        return _read(path, about)
+    place = cache_folder() / FOLDER / _key(path, status, about)
+    if content_of(place / ABOUT):
+        os.utime(place)
+    else:
+        place.parent.mkdir(mode=0o700, exist_ok=True)
+        for each in place.parent.iterdir():  # conversions not used for a long time
+            with suppress(OSError):
+                if not each.name.startswith(DRAFT) and time.time() - each.stat().st_mtime > UNUSED:
+                    shutil.rmtree(each)
+        with scratch_folder(place.parent, DRAFT) as folder:
+            draft = folder / place.name
+            draft.mkdir()
+            _write(_read(path, about), draft)
+            if _key(path, path.stat(), about) != place.name:  # the file has changed since the key was computed
+                place = process_folder() / FOLDER / place.name
+                place.parent.mkdir(exist_ok=True)
+            shutil.rmtree(place, ignore_errors=True)
+            with suppress(OSError):  # Another command was faster.
+                shutil.move(draft, place)
+    known: Any = content_of(place / ABOUT)
+    names = [TIME, *known["units"]]
+    table: Any = np.memmap(place / ROWS, np.float64, "r").reshape(len(names), -1).view(np.ndarray)
+    texts = feather.read_table(place / TEXTS, memory_map=True) if known["texts"] else None
+    strings = {name: texts.column(k) for k, name in enumerate(known["texts"])} if texts is not None else {}
+    recording = Recording(dict(zip(names, table, strict=True)), known["units"], strings)
+    recording.inexact, recording.assumed = known["inexact"], known["assumed"]
+    return recording
 
-    def __init__(self, folder: Path, units: Mapping[str, str], rows: int = 0) -> None:
-        super().__init__({}, units, rows)
-        self._file = folder / "rows"
-        self._places = {name: k for k, name in enumerate([TIME, *units])}
-        self._map: Any = np.empty((len(self._places), 0))
-        if rows:
-            self._open()
 
-    def _open(self) -> None:
-        self._map = np.memmap(self._file, np.float64, "r").reshape(len(self._places), -1)
+def _key(path: Path, status: os.stat_result, about: dict[str, Any]) -> str:
+    """Return a key of the content of a file and of its types; a renamed file keeps its key."""
+    content = status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns
+    types = json.dumps([VERSION, path.suffix, content, about], sort_keys=True, default=sorted)
+    return sha256(types.encode()).hexdigest()
 
-    def append(self, values: Array) -> None:
-        """Add rows, shape (columns, rows), time first."""
-        with self._lock:
-            rows, room = self.rows + values.shape[1], self._map.shape[1]
-            if rows > room:
-                room, draft = max(rows, 2 * room, GROUP), self._file.with_suffix(".draft")
-                with draft.open("wb") as stream:
-                    for k in range(len(self._places)):
-                        stream.seek(8 * room * k)
-                        stream.write(self._map[k, : self.rows].tobytes())
-                    stream.truncate(8 * room * len(self._places))
-                self._map = None  # some systems cannot replace a mapped file
-                draft.replace(self._file)
-                self._open()
-            with self._file.open("r+b") as stream:
-                for k, part in enumerate(values):
-                    stream.seek(8 * (room * k + self.rows))
-                    stream.write(part.tobytes())
-            self.rows = rows
 
-    def column(self, name: str) -> Array:
-        """Return all rows of a column."""
-        if name in self.added:
-            return super().column(name)
-        with self._lock:
-            column: Array = self._map[self._places[name], : self.rows]
-            return column.view(np.ndarray)
+def _read(path: Path, about: dict[str, Any]) -> Recording:
+    results = read_results(path, **about)
+    if not results.time.size:
+        raise InputError.at(path, "has no rows yet; wait for the end of the run, or run it again")
+    shown = results.with_integers()
+    columns = {TIME: shown.time, **{printable(name): shown[name] for name in shown.columns}}
+    units = {printable(name): printable(shown.units.get(name, "")) for name in shown.columns}
+    recording = Recording(columns, units, {printable(name): values for name, values in shown.texts().items()})
+    recording.assumed = results.notes
+    recording.inexact = [name for name in results.columns if name in results.whole and is_rounded(results[name])]
+    return recording
+
+
+def _write(recording: Recording, folder: Path) -> None:
+    with (folder / ROWS).open("wb") as stream:
+        for name in (TIME, *recording.units):
+            stream.write(np.ascontiguousarray(recording.column(name)))
+    texts = [pa.array(values, pa.string()) for values in recording.texts.values()]
+    if texts:
+        table = pa.table(texts, [*map(str, range(len(texts)))])
+        feather.write_feather(table, folder / TEXTS, compression="uncompressed")
+    about = {"units": recording.units, "texts": [*recording.texts], "inexact": recording.inexact}
+    (folder / ABOUT).write_text(json.dumps({**about, "assumed": recording.assumed}), encoding="utf-8")

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import AbstractContextManager, suppress
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from tempfile import mkdtemp
 from types import MappingProxyType
 from typing import Any
 
@@ -17,29 +16,25 @@ import numpy as np
 from cosim.core.drafts import is_full
 from cosim.core.errors import Fault, InputError, refuse
 from cosim.core.messages import Note
-from cosim.core.scratch import process_folder
 from cosim.core.text import counted
 from cosim.files.artefact import LOG
 from cosim.files.folders import manifest_in, replay_record, run_name, status_in, warnings_on
 from cosim.files.kinds import check_given, refuse_folder
 from cosim.files.results import rows_in
-from cosim.files.run_entries import Entry, entries, select_groups
-from cosim.isolation import rows as running
-from cosim.isolation.rows import FOLLOWED
+from cosim.files.run_entries import Entry, Selected, entries, select_groups
+from cosim.isolation.rows import FOLLOWED, Progress
 from cosim.master.checkpoint import ROWS
-from cosim.pages.rows import TIME, Recording, Store
-from cosim.pages.tables import ColumnTypes, Progress, open_rows
+from cosim.pages.rows import TIME, Recording, open_rows
 from cosim.sweeps.store import TABLE, read_runs
 
 NO_ROWS = "has no rows to draw{status}; give folders of runs, or tables with time in the first column"
-LOST = "{label} was removed or replaced; its drawn curves stay, but are not refined when zooming"
+LOST = "{label} was removed or replaced; the rows that were read stay"
 MAX_RUNS = 20  # results listed by name in a message
 MAX_NAMES = 5  # signals in a note
 LOOK = 1.0  # [s] between checks of a file
 SHARE = 5.0  # time between readings of a growing file, as a multiple of the reading time
 NO_COLUMNS: Mapping[str, str] = MappingProxyType({})
 WANTED = "the folder of a run or a table of its rows"
-Bar = Callable[[str], AbstractContextManager[Callable[[int, int], None] | None]]
 
 
 @dataclass(frozen=True)
@@ -81,26 +76,27 @@ class ViewedRun:
         InputError: The table has faults, or no rows.
     """
 
-    def __init__(self, place: RunPlace, progress: Progress = None, rows: Recording | None = None) -> None:
+    def __init__(self, place: RunPlace, rows: Recording | None = None) -> None:
         self.place, self.lost, self.notes, self.record = place, "", list[str](), dict[str, Any](display=place.display)
         self._due = 0.0  # [s] next time at which a growing file may be read again
         self._state, self._is_fed = file_state(place.file), rows is not None
-        self.rows = self._open(progress) if rows is None else rows
+        self.rows = self._open() if rows is None else rows
 
-    def _open(self, progress: Progress) -> Recording:
-        if self.place.file.name == FOLLOWED:
-            about = self.record = json.loads(self.place.file.read_text(encoding="utf-8"))
-            return self._with_new_rows(Store(Path(mkdtemp(dir=process_folder())), about["units"]))
-        folder, begin = self.place.file.parent, time.monotonic()
+    @property
+    def _is_running(self) -> bool:
+        return self.place.file.name == FOLLOWED
+
+    def _open(self) -> Recording:
+        file, folder, begin = self.place.file, self.place.file.parent, time.monotonic()
+        if self._is_running:
+            self.record = json.loads(file.read_text(encoding="utf-8"))
+            rows = Recording({}, self.record["units"])
+            self._add_new(rows)
+            return rows
         manifest = manifest_in(folder)
         self.record = manifest or replay_record(folder)
-        columns = ColumnTypes(
-            self.record.get("units") or {},
-            self.place.columns,
-            manifest.get("beside", ()),
-            frozenset(manifest.get("texts", ())),
-        )
-        rows = open_rows(self.place.file, columns, progress)
+        types = {"units": self.record.get("units") or {}, "names": self.place.columns}
+        rows = open_rows(file, **types, text=manifest.get("beside", ()), words=manifest.get("texts", ()))
         if self.place.entry is not None and not self._due:
             self.place.entry.check_current()
         self.notes = [*warnings_on(folder), *map(Note, rows.assumed)]
@@ -122,51 +118,46 @@ class ViewedRun:
         pairs = ((str(c.get("of")), c.get("to")) for c in entries)
         return [*dict.fromkeys((of, to if isinstance(to, str) else "") for of, to in pairs)]
 
-    def _with_new_rows(self, rows: Store) -> Store:
+    def _add_new(self, rows: Recording) -> None:
         """Add new rows of a running simulation; raise OSError if it has ended."""
         about = json.loads(self.place.file.read_text(encoding="utf-8"))
-        made = int(running.Progress.from_buffer_copy(Path(about["progress"]).read_bytes()).made[0])
+        made = int(Progress.from_buffer_copy(Path(about["progress"]).read_bytes()).made[0])
         if made > rows.rows:
             table = np.memmap(self.place.file.with_name(ROWS), np.float64, "r", shape=(made, len(about["units"])))
             time = about["start"] + about["step"] * np.arange(rows.rows, made)
             rows.append(np.vstack((time, table[rows.rows :].T)))
-        return rows
-
-    def check(self) -> bool:
-        """Return True if the file still exists."""
-        folder = self.place.file.parent.parent
-        if self.place.file.name == FOLLOWED and not self.place.file.is_file() and folder.is_dir():
-            rows = rows_in(folder)
-            if rows is None:
-                return True  # the run has ended, and its results are being written
-            self.place = replace(self.place, file=rows, entry=None)
-        if not self.lost and not self._is_fed and not self.place.file.is_file():
-            self.lost = LOST.format(label=self.place.label)
-        return not self.lost
 
     def follow(self) -> bool:
         """Read a changed file again; return True if its rows changed.
 
-        A file with other signals or fewer rows belongs to another run; `lost` then has the reason.
+        A file that is gone, or has other signals or fewer rows, belongs to another run; `lost` then has the reason.
         """
-        if isinstance(self.rows, Store) and self.place.file.name == FOLLOWED:
-            before = self.rows.rows
+        before, folder = self.rows.rows, self.place.file.parent.parent
+        if self._is_fed or self.lost:
+            return False
+        if self._is_running and self.place.file.is_file():
             with suppress(OSError, ValueError):
-                self._with_new_rows(self.rows)
+                self._add_new(self.rows)
             return self.rows.rows > before
-        state = file_state(self.place.file)
-        if self._is_fed or self.lost or state in {self._state, (0, 0)} or time.monotonic() < self._due:
+        if self._is_running and folder.is_dir():
+            if (rows := rows_in(folder)) is None:
+                return False  # the run has ended, and its results are being written
+            self.place = replace(self.place, file=rows, entry=None)
+        state, lost = file_state(self.place.file), LOST.format(label=self.place.label)
+        if state == (0, 0):
+            self.lost = lost
+        if self.lost or state == self._state or time.monotonic() < self._due:
             return False
         try:
-            rows = self._open(None)
+            table = self._open()
         except (InputError, OSError):
             return False  # it is being written
-        if [*rows.units] != [*self.rows.units] or rows.rows < self.rows.rows:
-            self.lost = LOST.format(label=self.place.label)
+        if [*table.units] != [*self.rows.units] or table.rows < before:
+            self.lost = lost
             return False
         for name, unit in self.rows.added.items():
-            rows.add(name, self.rows.read(name), unit)
-        self._state, self.rows = state, rows
+            table.add(name, self.rows.read(name), unit)
+        self._state, self.rows = state, table
         return True
 
 
@@ -182,7 +173,7 @@ def file_state(file: Path) -> tuple[int, int]:
 def find_runs(
     texts: Sequence[str], results: Path, columns: Mapping[str, str] = NO_COLUMNS
 ) -> tuple[list[RunPlace], list[str]]:
-    """Return the tables of numbers, names, patterns, folders and files, by default of the newest results.
+    """Return the tables of numbers, names, patterns, folders and files, by default of the newest results; and notes.
 
     Args:
         columns: Column → name of its signal, or `time`, for columns of files to rename.
@@ -190,7 +181,7 @@ def find_runs(
     Raises:
         InputError: A text matches no results, no results have rows, or columns are given without a file.
     """
-    notes: list[str] = []
+    notes, faults = list[str](), list[Fault]()
     if columns and not any(Path(text).is_file() for text in texts):
         raise InputError.at(Path("--column"), "renames columns of a table, but no table is given; add its file")
     if not texts:
@@ -198,66 +189,89 @@ def find_runs(
         if not found:
             raise InputError.at(results, "has no results with rows; run a scenario first, or give folders and tables")
         if len(found) > MAX_RUNS:
-            notes.append(
-                Note(f"the newest {MAX_RUNS} of {len(found)} results are shown; to see others, give their names")
-            )
-        return _differing(found[-MAX_RUNS:]), notes
-    found, faults = list[RunPlace](), list[Fault]()
+            notes.append(f"the newest {MAX_RUNS} of {len(found)} results are shown; to see others, give their names")
+        return _differing(found[-MAX_RUNS:]), [*map(Note, notes)]
+    found = []
     for text, group in zip(texts, select_groups(texts, results), strict=True):
-        count = len(found)
         try:
+            places = []
             for selected in group:
-                path, entry = selected.path, selected.entry
-                if not path.is_dir():
-                    check_given(path, LOG)
-                    found.append(RunPlace(path.stem, path.stem, path, columns=columns))
-                elif entry is not None and (place := _of_entry(entry, is_named=not selected.by_pattern)) is not None:
-                    found.append(place)
-                elif entry is None and (rows := _rows_of(path)) is not None:
-                    name = run_name(path)
-                    found.append(RunPlace(name, name, rows))
-                elif not selected.by_pattern and (of_sweep := _of_sweep(path))[0]:
-                    found += of_sweep[0]
-                    notes.append(Note(of_sweep[1]))
-                elif earlier := _earlier_of(text, entry, results):
-                    found.append(earlier)
-                    notes.append(
-                        Note(f"{path} has no rows to draw; the newest run that has, {earlier.label}, is shown")
-                    )
-                elif not selected.by_pattern:
-                    refuse_folder(path, WANTED)
-                    raise InputError.at(path, NO_ROWS.format(status=status_in(path)))
-            if group and len(found) == count:  # a pattern leaves out results without rows
+                of = selected.entry.of if selected.entry is not None else ""
+                series = [e for e in entries(results) if e.of == of] if text.rstrip("/").endswith(of or "/") else []
+                places += _places(selected, series, columns, notes)
+            if group and not places:  # a pattern leaves out results without rows
                 raise InputError.at(Path(text), NO_ROWS.format(status=""))
+            found += places
         except InputError as error:
             faults += error.faults
     refuse(faults)
     unique = {(place.file.resolve(), place.name if place.rows else ""): place for place in found}
-    return _differing(list(unique.values())), notes
+    return _differing(list(unique.values())), [*map(Note, notes)]
 
 
-def open_runs(places: Iterable[RunPlace], bar: Bar) -> tuple[list[ViewedRun], list[str]]:
+def _places(
+    selected: Selected, series: Sequence[Entry], columns: Mapping[str, str], notes: list[str]
+) -> list[RunPlace]:
+    """Return the tables of selected results, and add notes; none for a match of a pattern without rows.
+
+    Args:
+        series: Runs of the name that the user gave, the newest last.
+
+    Raises:
+        InputError: The user named results without rows.
+    """
+    path, entry = selected.path, selected.entry
+    if not path.is_dir():
+        check_given(path, LOG)
+        return [RunPlace(path.stem, path.stem, path, columns=columns)]
+    if entry is not None and (place := _of_entry(entry, is_named=not selected.by_pattern)) is not None:
+        return [place]
+    name = run_name(path)
+    if entry is None and (rows := _rows_of(path)) is not None:
+        return [RunPlace(name, name, rows)]
+    if selected.by_pattern:
+        return []
+    swept = read_runs(path)
+    time, runs = swept.signals(MAX_RUNS) if swept is not None else (np.zeros(0), {})
+    if swept is None or not runs:
+        if earlier := [place for e in series if (place := _of_entry(e, is_named=True)) is not None]:
+            notes.append(f"{path} has no rows to draw; the newest run that has, {earlier[-1].label}, is shown")
+            return earlier[-1:]
+        refuse_folder(path, WANTED)
+        raise InputError.at(path, NO_ROWS.format(status=status_in(path)))
+    units, display = swept.record["units"], swept.record.get("display") or {}
+    notes.append(f"{name} is a sweep; {len(runs)} of its {counted(swept.record['runs'], 'run')} are shown, as sampled")
+    labels = {f"{name} run {number}": Recording({TIME: time, **signals}, units) for number, signals in runs.items()}
+    return [RunPlace(n, n, path / TABLE, rows=rows, display=display) for n, rows in labels.items()]
+
+
+def open_runs(
+    places: Sequence[RunPlace], progress: Callable[[str, float], None] | None = None
+) -> tuple[list[ViewedRun], list[str]]:
     """Open tables, and convert large ones; return the runs, and warnings about runs that are left out.
+
+    Args:
+        progress: Function of what is being read, and of the share of tables before it.
 
     Raises:
         InputError: A named table has faults, or no table can be opened.
     """
     runs, notes, faults, named = list[ViewedRun](), list[str](), list[Fault](), list[Fault]()
-    for place in places:
+    for k, place in enumerate(places):
+        if progress is not None:
+            progress(f"reading {place.label}", k / len(places))
         try:
-            with bar(f"converting {place.label}") as progress:
-                runs.append(ViewedRun(place, progress, place.rows))
+            runs.append(ViewedRun(place, place.rows))
             notes += [note for note in runs[-1].notes if note not in notes]
         except (InputError, OSError) as error:
             if is_full(error):
                 raise
-            if isinstance(error, InputError):
-                refused = error
-            elif isinstance(error, FileNotFoundError):
-                gone = "was removed while it was read; repeat the command with the remaining results"
-                refused = InputError.at(place.file, gone)
-            else:
-                refused = InputError.at(place.file, f"cannot be read: {error.strerror}")
+            refused = error
+            if not isinstance(refused, InputError):
+                reason = f"cannot be read: {error.strerror}"  # type: ignore[union-attr]
+                if isinstance(error, FileNotFoundError):
+                    reason = "was removed while it was read; repeat the command with the remaining results"
+                refused = InputError.at(place.file, reason)
             (named if place.is_named else faults).extend(refused.faults)
             notes.append(f"{place.label} is left out: {str(refused).splitlines()[0]}")
     refuse(named or (faults if not runs else ()))
@@ -279,28 +293,6 @@ def _of_entry(entry: Entry, *, is_named: bool) -> RunPlace | None:
     rows = _rows_of(entry.folder)
     name = entry.of if entry.is_newest else entry.name
     return None if rows is None else RunPlace(name, entry.label, rows, is_named, entry)
-
-
-def _of_sweep(folder: Path) -> tuple[list[RunPlace], str]:
-    """Return runs of a sweep with their sampled signals, and a note; none of other results and without signals."""
-    swept = read_runs(folder)
-    if swept is None:
-        return [], ""
-    name, record, places = run_name(folder), swept.record, list[RunPlace]()
-    time, runs = swept.signals(MAX_RUNS)
-    for number, signals in runs.items():
-        label, rows = f"{name} run {number}", Recording({TIME: time, **signals}, record["units"], time.size)
-        places.append(RunPlace(label, label, folder / TABLE, rows=rows, display=record.get("display") or {}))
-    note = f"{name} is a sweep; {len(places)} of its {counted(record['runs'], 'run')} are shown, as sampled"
-    return places, note
-
-
-def _earlier_of(text: str, entry: Entry | None, results: Path) -> RunPlace | None:
-    """Return the newest run with rows of a name of several runs."""
-    if entry is None or entry.name == entry.of or not text.rstrip("/").endswith(entry.of):
-        return None
-    places = [_of_entry(e, is_named=True) for e in entries(results) if e.of == entry.of]
-    return next((place for place in reversed(places) if place is not None), None)
 
 
 def _differing(places: Sequence[RunPlace]) -> list[RunPlace]:

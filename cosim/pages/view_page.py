@@ -16,11 +16,10 @@ from starlette.background import BackgroundTask
 from starlette.requests import Request
 from starlette.responses import FileResponse, Response
 
-from cosim.core.arrays import Array, Rows
+from cosim.core.arrays import Array
 from cosim.core.errors import InputError
 from cosim.core.scratch import process_folder
 from cosim.core.text import displayed, showing, shown_unit
-from cosim.core.version import __version__
 from cosim.files.csv_source import cell_text, write_table
 from cosim.files.files import parse_json
 from cosim.pages.formulas import Definition, Derivations
@@ -34,7 +33,6 @@ TEMPLATE = Path(__file__).with_name("templates") / "view.html.j2"
 MAX_WIDTH = 8192  # pixel columns of a time plot, points of an x-y plot
 MAX_CELLS = 50_000_000  # values of an exported table
 MIN_SPECTRUM, MAX_SPECTRUM, MAX_SEGMENT = 16, 20_000_000, 16_384  # rows of a spectrum, and of its longest segment
-LOST = (np.array([-1.0, 0.0]),)  # returned instead of points of a lost run
 Signal = tuple[int, str]  # number of the run, name
 Curve = tuple[ViewedRun, str]
 
@@ -77,24 +75,20 @@ class Viewer:
 
     def routes(self) -> dict[str, Handler]:
         """Return the routes of the page."""
+        data = self._points, self._plane, self._spectrum, self._statistics, self._values, self._texts
         return {
             "GET /about": self._about,
-            "POST /points": self._points,
-            "POST /plane": self._plane,
-            "POST /spectrum": self._spectrum,
-            "POST /statistics": self._statistics,
-            "POST /values": self._values,
-            "POST /texts": self._texts,
             "POST /derive": self._derive,
             "POST /layouts": self._save_layout,
             "GET /export.csv": self._export,
+            **{f"POST /{f.__name__[1:]}": lambda _, content, f=f: f(_read(Wanted, content)) for f in data},
         }
 
     def state(self) -> dict[str, Any]:
         """Return the numbers of rows, the time ranges, and the reasons why runs are lost."""
         with self._lock:
             if time.monotonic() - self._looked > LOOK:
-                grown = [k for k, run in enumerate(self.runs) if run.check() and run.follow()]
+                grown = [k for k, run in enumerate(self.runs) if run.follow()]
                 self._derivations.renew(grown)
                 self._looked = time.monotonic()
         spans = [[run.rows.rows, *run.rows.span()] for run in self.runs]
@@ -103,32 +97,24 @@ class Viewer:
     # -- requests -------------------------------------------------------------------------------------
 
     def _about(self, request: Request, _: Any) -> Response:
-        """Return the runs, with names and units of numeric signals and names of text signals.
-
-        Equal signal lists are shared.
-        """
-        sets: list[Any] = []
+        """Return the runs, with names and units of numeric signals and names of text signals."""
         runs = []
         for number, run in enumerate(self.runs):
             with showing(*(run.record for run in self.runs)):
                 units = [shown_unit(unit) for unit in run.rows.units.values()]
-            signals = [[*run.rows.units], units, [*run.rows.texts]]
-            if signals not in sets:
-                sets.append(signals)
             first, last = run.rows.span()
             place = {"name": run.place.name, "label": run.place.label, "file": str(run.place.file)}
-            about: dict[str, Any] = {"set": sets.index(signals), "rows": run.rows.rows, "from": first, "to": last}
-            about["judged"] = run.judged
-            runs.append({**place, **about, "derived": self._derivations.of_run(number)})
+            signals = {"numbers": [*run.rows.units], "units": units, "texts": [*run.rows.texts], "judged": run.judged}
+            span = {"rows": run.rows.rows, "from": first, "to": last}
+            runs.append({**place, **signals, **span, "derived": self._derivations.of_run(number)})
         layouts = self._layouts.read() if self._layouts is not None else {}
-        return Json({"runs": runs, "sets": sets, "layouts": layouts, "notes": self._notes})
+        return Json({"runs": runs, "layouts": layouts, "notes": self._notes})
 
-    def _points(self, request: Request, content: Any) -> Response:
+    def _points(self, wanted: Wanted) -> Response:
         """Return for each curve: number of points, 1 for rows, 1 if times follow; then time, smallest, largest values.
 
         Curves of the same run share the times of the first one.
         """
-        wanted = _read(Wanted, content)
         if not wanted.begin < wanted.end:
             raise _refused("a range of times")
         pictures: dict[int, Picture] = {}
@@ -142,11 +128,10 @@ class Viewer:
             head = np.array([low.size, float(is_row), float(is_first)])
             return [head, *([picture.time] if is_first else []), low, *([] if is_row else [high])]
 
-        return self._arrays(points, self._curves(wanted.curves))
+        return _arrays(points, self._curves(wanted.curves))
 
-    def _plane(self, request: Request, content: Any) -> Response:
+    def _plane(self, wanted: Wanted) -> Response:
         """Return, for each pair of signals of an x-y plot: number of points, row spacing, then time, x and y."""
-        wanted = _read(Wanted, content)
 
         def plane(run: ViewedRun, x: str, y: str) -> list[Array]:
             rows = run.rows
@@ -158,17 +143,15 @@ class Viewer:
         curves, across = self._curves(wanted.curves), self._curves(wanted.across)
         if [run for run, _ in curves] != [run for run, _ in across]:
             raise _refused("signals of the same run for both axes")
-        return self._arrays(plane, [(run, x, y) for (run, x), (_, y) in zip(across, curves, strict=True)])
+        return _arrays(plane, [(run, x, y) for (run, x), (_, y) in zip(across, curves, strict=True)])
 
-    def _spectrum(self, request: Request, content: Any) -> Response:
+    def _spectrum(self, wanted: Wanted) -> Response:
         """Return, for each curve, the number of points, 1, log10 of the frequencies [Hz], and the power density [dB].
 
         The power spectral density is computed by Welch's method from the rows between two times, interpolated at the
         median row spacing. A curve with few rows has no points.
         """
         from scipy.signal import welch
-
-        wanted = _read(Wanted, content)
 
         def spectrum(run: ViewedRun, name: str) -> list[Array]:
             time, values = self._between(run, name, wanted)
@@ -183,20 +166,18 @@ class Viewer:
                 levels = np.where(power > 0.0, 10.0 * np.log10(power), np.nan)
             return [np.array([frequencies.size - 1.0, 1.0]), np.log10(frequencies[1:]), levels[1:]]
 
-        return self._arrays(spectrum, self._curves(wanted.curves))
+        return _arrays(spectrum, self._curves(wanted.curves))
 
-    def _statistics(self, request: Request, content: Any) -> Response:
+    def _statistics(self, wanted: Wanted) -> Response:
         """Return minimum, maximum, mean, RMS and standard deviation of each curve over its rows."""
-        wanted = _read(Wanted, content)
 
         def statistics(run: ViewedRun, name: str) -> list[Array]:
             _, values = self._between(run, name, wanted)
             if not values.size:
                 return [np.full(5, np.nan)]
-            rms = np.sqrt(np.mean(values**2))
-            return [np.array([values.min(), values.max(), values.mean(), rms, values.std()])]
+            return [np.array([values.min(), values.max(), values.mean(), np.sqrt(np.mean(values**2)), values.std()])]
 
-        return self._arrays(statistics, self._curves(wanted.curves), [np.full(5, np.nan)])
+        return _arrays(statistics, self._curves(wanted.curves))
 
     def _between(self, run: ViewedRun, name: str, wanted: Wanted) -> tuple[Array, Array]:
         """Return times and displayed values of a signal between two times, without missing values."""
@@ -205,9 +186,8 @@ class Viewer:
         has_value = np.isfinite(values)
         return time[has_value], values[has_value]
 
-    def _values(self, request: Request, content: Any) -> Response:
+    def _values(self, wanted: Wanted) -> Response:
         """Return time and value of each curve at its last row before or at a time; NaN before the first row."""
-        wanted = _read(Wanted, content)
 
         def value(run: ViewedRun, name: str) -> list[Array]:
             row = run.rows.locate(wanted.at, "right") - 1
@@ -215,21 +195,15 @@ class Viewer:
                 return [np.full(2, np.nan)]
             return [self._shown(run, each, run.rows.read(each, row, row + 1)) for each in (TIME, name)]
 
-        return self._arrays(value, self._curves(wanted.curves), [np.full(2, np.nan)])
+        return _arrays(value, self._curves(wanted.curves))
 
-    def _texts(self, request: Request, content: Any) -> Response:
-        """Return the text of each signal at its last row before or at a time.
-
-        Null before the first row, and for a lost run.
-        """
-        wanted = _read(Wanted, content)
-
-        def text(run: ViewedRun, name: str) -> list[str | None]:
+    def _texts(self, wanted: Wanted) -> Response:
+        """Return the text of each signal at its last row before or at a time; null before the first row."""
+        texts = list[str | None]()
+        for run, name in self._curves(wanted.curves, texts=True):
             row = run.rows.locate(wanted.at, "right") - 1
-            return [run.rows.text(name, row) if row >= 0 else None]
-
-        curves = self._curves(wanted.curves, texts=True)
-        return Json([t for curve in curves for t in _unless_lost(curve[0], text, *curve, lost=[None])])
+            texts.append(str(run.rows.exact(name, row, row + 1)[0]) if row >= 0 else None)
+        return Json(texts)
 
     def _derive(self, request: Request, content: Any) -> Response:
         """Add, change or remove a derived signal; return the signals with new values."""
@@ -237,22 +211,16 @@ class Viewer:
             self._derivations.remove(*_read(Wanted, {"curves": [content["remove"]]}).curves[0])
             return Json([])
         wanted = _read(Derived, content)
-        curves = self._curves([*wanted.of.values()])
-        try:
-            return Json(self._derivations.define(wanted.name, Definition(wanted.formula, wanted.of, wanted.unit)))
-        except OSError:
-            lost = next((run.lost for run, _ in curves if not run.check()), "its rows cannot be read")
-            raise InputError.at(Path("formula"), f"cannot be read: {lost}") from None
+        self._curves([*wanted.of.values()])
+        return Json(self._derivations.define(wanted.name, Definition(wanted.formula, wanted.of, wanted.unit)))
 
     def _save_layout(self, request: Request, content: Any) -> Response:
         """Save a layout, or return the layouts of a file that the page has opened."""
-        if not isinstance(content, dict):
-            raise _refused("an object")
-        if "file" in content:
-            return Json(check_layouts(Path(str(content["file"])), content.get("content")))
-        if self._layouts is None:
+        if not isinstance(content, dict) or ("file" not in content and self._layouts is None):
             raise _refused("a layout of `cosim view`")
-        return Json(self._layouts.put(content.get("name"), content.get("layout")))
+        if "file" in content or self._layouts is None:
+            return Json(check_layouts(Path(str(content["file"])), content.get("content")))
+        return Json(self._layouts.put(str(content.get("name") or ""), content.get("layout")))
 
     def _export(self, request: Request, _: Any) -> Response:
         """Return all rows of curves between two times as CSV, time first, with a row for each time of any run."""
@@ -262,26 +230,22 @@ class Viewer:
             content = None
         wanted = _read(Wanted, content)
         curves = self._curves(wanted.curves, texts=True)
-        several = len({id(run) for run, _ in curves}) > 1
-        heads, columns, places = list[str](), list[Array | list[str]](), list[tuple[Array, Rows]]()
-        cells = 0
-        for run, name in curves:
-            first, stop = run.rows.locate(wanted.begin), run.rows.locate(wanted.end, "right")
-            cells += stop - first
-            if cells > MAX_CELLS:
-                limit = f"more than {MAX_CELLS / 1e6:.0f} million; zoom in first"
-                raise InputError.at(Path("export"), f"the selection has {cells / 1e6:.0f} million values, {limit}")
-            at, unit = run.rows.read(TIME, first, stop), run.rows.unit(name)
+        spans = [(run.rows.locate(wanted.begin), run.rows.locate(wanted.end, "right")) for run, _ in curves]
+        if (cells := sum(stop - first for first, stop in spans)) > MAX_CELLS:
+            limit = f"more than {MAX_CELLS / 1e6:.0f} million; zoom in first"
+            raise InputError.at(Path("export"), f"the selection has {cells / 1e6:.0f} million values, {limit}")
+        several, heads = len({id(run) for run, _ in curves}) > 1, ["time"]
+        columns, places = list[Array | list[str]](), [np.empty((0, 2))]
+        for (run, name), span in zip(curves, spans, strict=True):
+            at, unit = run.rows.read(TIME, *span), run.rows.unit(name)
             heads.append(f"{f'{run.place.label}: ' * several}{name}{f' [{unit}]' * bool(unit)}")
-            columns.append(run.rows.exact(name, first, stop))
-            places.append((at, np.arange(at.size) - np.searchsorted(at, at)))  # index among rows of the same time
+            columns.append(run.rows.exact(name, *span))
+            # time, and the number among rows of the same time, all of which are kept
+            places.append(np.column_stack((at, np.arange(at.size) - np.searchsorted(at, at))))
 
         def joined_rows() -> Iterator[list[Any]]:
-            """Yield a row for each time of any column; several rows of the same time are kept."""
-            if not places:
-                return
-            pairs = np.concatenate([np.column_stack(place) for place in places])
-            rows, at = np.unique(pairs, axis=0, return_inverse=True)
+            """Yield a row for each time of any column."""
+            rows, at = np.unique(np.concatenate(places), axis=0, return_inverse=True)
             kind: Any = np.float64 if all(isinstance(values, np.ndarray) for values in columns) else object
             table, first = np.full((len(rows), len(columns)), np.nan, kind), 0
             for k, values in enumerate(columns):
@@ -294,22 +258,9 @@ class Viewer:
             return cell_text(value) if isinstance(value, str) else "" if math.isnan(value) else repr(value)
 
         file = process_folder() / f"view-{next(self._exports)}.csv"
-        write_table(file, ["time", *heads], joined_rows(), cell)
+        write_table(file, heads, joined_rows(), cell)
         remove = BackgroundTask(file.unlink, missing_ok=True)
         return FileResponse(file, media_type="text/csv", filename="view.csv", background=remove)
-
-    def _arrays(
-        self, read: Callable[..., list[Array]], curves: Sequence[Any], lost: Sequence[Array] = LOST
-    ) -> Response:
-        """Return the data of the curves as doubles.
-
-        Args:
-            read: Function of (run, further entries of its curves) that returns arrays.
-            lost: Arrays for a lost run.
-        """
-        parts = [part for curve in curves for part in _unless_lost(curve[0], read, *curve, lost=lost)]
-        body = b"".join(np.ascontiguousarray(part, "<f8").tobytes() for part in parts)
-        return Response(body, media_type="application/octet-stream")
 
     def _shown(self, run: ViewedRun, name: str, values: Array) -> Array:
         """Convert values of a signal to its display unit."""
@@ -348,18 +299,13 @@ def view_page(
 
 def view_html(title: str, *, is_live: bool) -> str:
     """Return the page of finished runs, or of a running one."""
-    values = {"heading": title, "version": __version__, "activity": "run" if is_live else ""}
-    return render(TEMPLATE, {**values, "data": "{}"}, is_report=False)
+    return render(TEMPLATE, {"heading": title, "activity": "run" if is_live else ""}, is_report=False)
 
 
-def _unless_lost(run: ViewedRun, read: Callable[..., list[Any]], *of: Any, lost: Sequence[Any]) -> Any:
-    """Return the data of a run; if its file or a file of its cache is missing, return `lost`."""
-    if run.check():
-        try:
-            return read(*of)
-        except OSError:
-            run.lost = f"{run.place.label} can no longer be read; its drawn curves stay"
-    return lost
+def _arrays(read: Callable[..., list[Array]], curves: Sequence[Sequence[Any]]) -> Response:
+    """Return the arrays that a function reads of each curve, as doubles."""
+    body = b"".join(np.ascontiguousarray(part, "<f8").tobytes() for curve in curves for part in read(*curve))
+    return Response(body, media_type="application/octet-stream")
 
 
 def _read(kind: type[M], content: Any) -> M:

@@ -7,8 +7,8 @@ import signal
 import threading
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
-from tempfile import mkdtemp
 from time import monotonic
 from typing import Any
 
@@ -18,11 +18,8 @@ from starlette.responses import Response
 
 from cosim.core.arrays import Array
 from cosim.core.errors import CosimError, InputError, Interrupted, Signalled, SweepStopped, Terminated
-from cosim.core.messages import Note
-from cosim.core.scratch import process_folder
-from cosim.core.version import __version__
 from cosim.master.observer import Control, ObservedRun, Observer
-from cosim.pages.rows import Store
+from cosim.pages.rows import Recording
 from cosim.pages.runs import RunPlace, ViewedRun
 from cosim.pages.server import FIRST_PAGE, RELOAD, Handler, Json, Part, ServedPage, html_response
 from cosim.pages.view_page import Viewer, view_html
@@ -61,8 +58,7 @@ class WorkPage(ServedPage):
     def __init__(self, title: str, port: int = 0, html: str = "", part: Part | None = None) -> None:
         self.report: Path | None = None
         self._begin, self._has_begun = monotonic(), False
-        about = {"heading": title, "activity": self.activity, "version": __version__, "data": "{}"}
-        html = html or render(TEMPLATE, about, is_report=False)
+        html = html or render(TEMPLATE, {"heading": title, "activity": self.activity}, is_report=False)
         super().__init__(html, port, part, phase="starting", title=title, message="", report=False)
 
     def routes(self) -> Mapping[str, Handler]:
@@ -73,13 +69,12 @@ class WorkPage(ServedPage):
         if error is None:
             self.update(phase="finished")
             return
-        is_stop = isinstance(error, (Interrupted, Signalled, SweepStopped, KeyboardInterrupt, Terminated))
-        left = getattr(error, "left", None)
-        if left is not None:
+        if left := getattr(error, "left", None):
             self.report = left / "report.html"
         message = str(error) if isinstance(error, CosimError) else type(error).__name__
         if isinstance(error, (Interrupted, Signalled)):
-            message = Note(f"stopped at t = {error.time:.6g} s; the rows so far are kept")
+            message = f"stopped at t = {error.time:.6g} s; the rows so far are kept"
+        is_stop = isinstance(error, (Interrupted, Signalled, SweepStopped, KeyboardInterrupt, Terminated))
         self.update(phase="stopped" if is_stop else "failed", message=message)
 
     def update(self, **state: Any) -> None:
@@ -135,10 +130,9 @@ class LiveRun(WorkPage, Observer):
     """An observer that draws the rows of a run in the signal browser and accepts changes from the page."""
 
     def __init__(self, title: str, port: int = 0) -> None:
-        folder = Path(mkdtemp(dir=process_folder()))
-        self._run = ObservedRun((), 0, 0.0, 1.0)
-        self._rows, self._control = Store(folder, {}), None  # type: tuple[Store, Control | None]
-        viewer = Viewer([ViewedRun(RunPlace(title, title, folder), rows=self._rows)], None)
+        self._run, self._control = ObservedRun((), 0, 0.0, 1.0), None  # type: tuple[ObservedRun, Control | None]
+        self._rows = Recording({}, {})
+        viewer = Viewer([ViewedRun(RunPlace(title, title, Path(title)), self._rows)], None)
         self._runs = viewer.runs
         self._inputs: list[str] = []  # variables that can be changed
         self._rate = (0.0, 0.0)  # clock time of the first row [s], and its simulated time [s]
@@ -148,13 +142,11 @@ class LiveRun(WorkPage, Observer):
 
     def begin(self, run: ObservedRun) -> None:
         """Prepare for the rows of a run."""
-        folder = Path(mkdtemp(dir=process_folder()))
         title = str(self._state["title"])
         with self._lock:
             self._run, self._control = run, run.control
-            self._rows = Store(folder, {name: run.units.get(name, "") for name in run.columns})
-            self._runs[:] = [ViewedRun(RunPlace(title, title, folder), rows=self._rows)]
-            self._runs[0].record = {"display": run.display}
+            self._rows = Recording({}, {name: run.units.get(name, "") for name in run.columns})
+            self._runs[:] = [ViewedRun(RunPlace(title, title, Path(title), display=run.display), self._rows)]
         names = {v.name for v in (run.control.variables if run.control is not None else ()) if v.is_input}
         self._inputs = [column for column in run.columns if column in names]
         self.update(phase="starting", total=run.rows, start=run.start, step=run.step, made=id(run))
@@ -195,7 +187,7 @@ class LiveRun(WorkPage, Observer):
             }
             for change in (control.changes if control is not None else ())
         ]
-        last = {name: float(self._rows.read(name, rows - 1)[0]) for name in self._inputs if rows}
+        last = {name: float(self._rows.column(name)[rows - 1]) for name in self._inputs if rows}
         state["values"] = {name: value if math.isfinite(value) else None for name, value in last.items()}
         return {**state, "rows": rows, "now": now, "end": run.start + run.step * max(0, run.rows - 1)}
 
@@ -214,14 +206,11 @@ class LiveRun(WorkPage, Observer):
                 continue
             start = {str(number): name for name, number in v.items.items()}.get(str(v.start), v.start)
             about = {
-                "name": v.name,
                 "input": v.is_input,
-                "kind": v.kind,
-                "unit": v.unit,
                 "start": start if isinstance(start, int | float | str | bool | None) else str(start),
                 "bounds": [bound if abs(bound) < LARGEST_BOUND else None for bound in v.bounds],
                 "items": list(v.items),
-                "description": v.description,
+                **{key: getattr(v, key) for key in ("name", "kind", "unit", "description")},
             }
             variables.append(about)
         return Json(variables)
@@ -254,13 +243,10 @@ class LiveRun(WorkPage, Observer):
 
 def _as_number(value: Any) -> Any:
     """Convert text of a plain number to a number; return other values unchanged."""
-    text = str(value).strip().replace("\u2212", "-")
-    for kind in (int, float):
-        try:
-            number = kind(text)
-        except ValueError:
-            continue
-        return number if isinstance(value, str) and math.isfinite(number) else value
+    for kind in (int, float) if isinstance(value, str) else ():
+        with suppress(ValueError):
+            number = kind(value.strip().replace("\u2212", "-"))
+            return number if math.isfinite(number) else value
     return value
 
 

@@ -13,10 +13,9 @@ from cosim.core.arrays import Array, NamedValues
 from cosim.core.text import percent
 from cosim.core.version import __version__
 from cosim.credibility.bands import Coverage
-from cosim.estimation.fit import Fit
-from cosim.estimation.per_log import expected_values, own
+from cosim.estimation.fit import Fit, expected_values
 from cosim.estimation.problem import Noise
-from cosim.estimation.subject.candidates import Kind, kind_within
+from cosim.estimation.subject.candidates import Kind, kind_within, own
 from cosim.estimation.subject.interface import Subject
 from cosim.refinement.decision.claims import Claims, text_of
 from cosim.refinement.decision.posterior import Grade, Verdict

@@ -97,7 +97,7 @@ class Refined:
         Raises:
             ValueError: The record holds no errors of this part.
         """
-        from cosim.report.figure import new_figure
+        from cosim.report.cell.cell import new_figure
 
         models = ("before", "recalibrated", "after")
         errors = {m: dict(self.record.get("error", {}).get(m, {}).get(part) or {}) for m in models}

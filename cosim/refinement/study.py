@@ -28,8 +28,7 @@ from cosim.files.artefact import STUDY, Checking, kind_by_keys
 from cosim.files.files import FilePath
 from cosim.files.kinds import check_form, refuse_other
 from cosim.files.yaml_file import UNIT_OF_KEY, Positive, PositiveSeconds, YamlFile
-from cosim.fmi.building.execution import is_execution_allowed
-from cosim.fmi.building.file import load_model, own_terms
+from cosim.fmi.building.file import load_model, own_terms, skipped_files
 from cosim.fmi.building.substep import with_substep
 from cosim.fmi.native.compiler import compiler, cure
 from cosim.isolation.limits import Limits, read_limits
@@ -559,7 +558,7 @@ def check_study(path: Path, checking: Checking) -> list[str]:
     """
     keys = keys_of(path)
     model = keys[1].model
-    if model.lower().endswith(FMU_SUFFIX) and checking.worker is None and not is_execution_allowed():
+    if model.lower().endswith(FMU_SUFFIX) and checking.worker is None and skipped_files.get() is not None:
         read_parts_of_fmu(*keys)
         return [
             f"warning: {model} is not loaded (--no-load), so the names of candidates, noise and tolerance are not "

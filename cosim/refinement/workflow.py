@@ -21,11 +21,16 @@ from cosim.core.messages import Note
 from cosim.core.text import counted, join_names, plain, showing
 from cosim.credibility.record import attach
 from cosim.estimation.fit import Fit, initial_fit
-from cosim.estimation.per_log import drop_own_parameters
-from cosim.estimation.posing import build_problem, predictable_horizon, with_likely_starts
+from cosim.estimation.posing import (
+    build_problem,
+    cell_warnings,
+    noise_levels,
+    noise_warnings,
+    predictable_horizon,
+    with_likely_starts,
+)
 from cosim.estimation.problem import Problem
-from cosim.estimation.sensor_noise import cell_warnings, noise_levels, noise_warnings
-from cosim.estimation.subject.candidates import Candidate
+from cosim.estimation.subject.candidates import Candidate, drop_own_parameters
 from cosim.estimation.subject.interface import Workplace
 from cosim.files.files import (
     FilePath,

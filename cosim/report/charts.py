@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from cosim.core.arrays import Array, Rows
 from cosim.core.messages import printable_json
-from cosim.report.panels import Panel, extent
+from cosim.report.panels import Panel, Trace, extent
 
 MAX_CELLS = 6_000_000  # values in a page; beyond, every n-th row
 MAX_COUNT = 1e9  # held whole numbers below have no decimals
@@ -28,26 +28,6 @@ MAX_DECIMALS = 300  # decimals; larger powers of ten overflow
 BYTES = 7  # of a difference in a page
 TIME = ("time", "s")
 NOTHING: Mapping[str, Any] = MappingProxyType({})
-
-
-@dataclass(frozen=True)
-class Abscissa:
-    """The x axis of charts.
-
-    Attributes:
-        over: Name and unit.
-        ends: Limits of the axis, by default its first and last value.
-        breaks: Rows after which traces with `anew` restart.
-        log: Whether the axis is logarithmic; x is positive.
-    """
-
-    over: tuple[str, str] = TIME
-    ends: tuple[float, float] | None = None
-    breaks: Sequence[int] = ()
-    log: bool = False
-
-
-OVER_TIME = Abscissa()
 
 
 @dataclass(frozen=True)
@@ -73,13 +53,27 @@ class Charts:
         self._groups: list[dict[str, Any]] = []
         self._columns: list[tuple[Array, int, bool]] = []  # values, decimals, whether a group has fewer rows
 
-    def over(self, x: Array, abscissa: Abscissa = OVER_TIME, **more: Any) -> Drawing:
-        """Start a drawing of panels over common values x; `more` is for the script."""
-        group: dict[str, Any] = {"over": abscissa.over, **more}
-        group |= {"ends": abscissa.ends} if abscissa.ends else {}
-        group |= {"log": 1} if abscissa.log else {}
-        group["breaks"] = list(abscissa.breaks)
+    def over(
+        self,
+        x: Array,
+        over: tuple[str, str] = TIME,
+        ends: tuple[float, float] | None = None,
+        *,
+        breaks: Sequence[int] = (),
+        log: bool = False,
+        points: bool = False,
+    ) -> Drawing:
+        """Start a drawing of panels over common values x.
+
+        Args:
+            over: Name and unit of the x axis.
+            ends: Limits of the axis, by default its first and last value.
+            breaks: Rows after which traces with `anew` restart.
+            log: Whether the axis is logarithmic; x is positive.
+            points: Whether the cursor reads the point nearest to it.
+        """
         self._columns.append((x, decimals_of_time(x), True))
+        group = {"over": over, "ends": ends, "breaks": list(breaks), "log": log, "points": points}
         self._groups.append({"x": len(self._columns) - 1, **group})
         return Drawing(self, len(self._groups) - 1, x)
 
@@ -93,7 +87,7 @@ class Charts:
             more: For the script, such as `uprights`, values of x with a line.
         """
         places = [np.asarray(t.x) for t in panel.traces] + ([np.asarray(panel.band.x)] if panel.band else [])
-        return self.over(np.unique(np.concatenate(places)), Abscissa(over, ends, log=log)).plots([panel], **more)[0]
+        return self.over(np.unique(np.concatenate(places)), over, ends, log=log).plots([panel], **more)[0]
 
     def points(
         self, panel: Panel, ends: tuple[float, float], over: tuple[str, str], also: Mapping[str, Array], **more: Any
@@ -106,10 +100,9 @@ class Charts:
             more: For the script: `reach`, limits of the y axis, and `uprights`, values of x with a line.
         """
         (trace,) = panel.traces
-        own = replace(trace, x=None)
-        drawing, panel = self.over(np.asarray(trace.x), Abscissa(over, ends), points=1), replace(panel, traces=[own])
+        drawing = self.over(np.asarray(trace.x), over, ends, points=True)
         further = [[label, self.column(values)] for label, values in also.items()]
-        return drawing.plots([panel], also=further, **more)[0]
+        return drawing.plots([replace(panel, traces=[replace(trace, x=None)])], also=further, **more)[0]
 
     def column(self, values: Array, *, held: bool = False, common: bool = True) -> int:
         """Add a column and return its key in the script.
@@ -125,39 +118,39 @@ class Charts:
 
     def add(self, group: int, panel: Panel, more: Mapping[str, Any]) -> Plot:
         """Add a chart of a drawing."""
-        traces, words = [], []
+
+        def own(x: Array | None) -> int | None:
+            return None if x is None else self.column(np.asarray(x), common=False)
+
+        def entry(trace: Trace) -> dict[str, Any]:
+            line = "held" if trace.held else "line"
+            point = next((word for word in trace.style.split() if word in ("dots", "crosses")), "")
+            return {
+                "label": trace.label,
+                "style": trace.style,
+                "form": "bars" if trace.upper is not None else "stems" if trace.stems else point or line,
+                "y": self.column(trace.values, held=trace.held, common=trace.x is None),
+                "x": own(trace.x),
+                "upper": None if trace.upper is None else self.column(trace.upper, common=trace.x is None),
+                "anew": trace.anew,
+                "items": {f"{value:.16g}": name for value, name in trace.items.items()},
+            }
+
+        words = []
         for trace in panel.traces:
-            common = trace.x is None
-            entry: dict[str, Any] = {"label": trace.label, "style": trace.style, "form": trace.form}
-            entry["y"] = self.column(trace.values, held=trace.held, common=common)
-            entry |= {} if trace.x is None else {"x": self.column(np.asarray(trace.x), common=False)}
-            entry |= {} if trace.upper is None else {"upper": self.column(trace.upper, common=common)}
-            entry |= {"anew": 1} if trace.anew else {}
-            entry |= {"shift": trace.shift} if trace.shift else {}
-            entry |= {"items": {f"{value:.16g}": name for value, name in trace.items.items()}} if trace.items else {}
-            traces.append(entry)
             span = extent([trace.values] if trace.upper is None else [trace.values, trace.upper])
-            told = f"from {span[0]:.4g} to {span[1]:.4g}" if span else "without values"
-            words.append(f"{trace.label} {told}")
-        chart = {"group": group, "title": panel.title, "unit": panel.unit, "traces": traces, **more}
-        if panel.limits:
-            chart["levels"] = panel.limits
-        if panel.limit_label:
-            chart["limit"] = panel.limit_label
-        if panel.band is not None:
-            band = panel.band
+            words.append(f"{trace.label} {f'from {span[0]:.4g} to {span[1]:.4g}' if span else 'without values'}")
+        chart = {"group": group, "title": panel.title, "unit": panel.unit, "traces": [*map(entry, panel.traces)]}
+        chart |= {"levels": panel.limits, "limit": panel.limit_label, "outside": panel.outside, **more}
+        if band := panel.band:
             edges = [self.column(edge, common=band.x is None) for edge in (band.lower, band.upper)]
-            chart["band"] = {"label": band.label, "edges": edges}
-            chart["band"] |= {} if band.x is None else {"x": self.column(np.asarray(band.x), common=False)}
-        if panel.outside:
-            chart["outside"] = panel.outside
+            chart["band"] = {"label": band.label, "edges": edges, "x": own(band.x)}
         self._charts.append(chart)
         return Plot(len(self._charts) - 1, chart, "; ".join(words))
 
     def data(self, more: Mapping[str, Any] = NOTHING) -> str:
         """Return charts, rows and further data as JSON for the page's script, safe inside a script element."""
-        cells = sum(values.size for values, *_ in self._columns)
-        every = max(1, math.ceil(cells / MAX_CELLS))
+        every = max(1, math.ceil(sum(values.size for values, *_ in self._columns) / MAX_CELLS))
         chosen = [(v if not common else v[_rows(v.size, every)], decimals) for v, decimals, common in self._columns]
         groups = []
         for group in self._groups:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -14,8 +15,6 @@ from cosim.core.text import displayed, shown_unit
 OTHERS_PER_PANEL = 6
 WIDEST_RANGES = 20.0  # axis' range over the range of a signal without a unit; smaller signals would look constant
 CONSTANT = 1e-9  # range of a constant signal, relative to its size
-POINTS = ("dots", "crosses")  # words of a style
-NO_UNIT = ("", "1")
 NO_UNIT_TEXT = "no unit declared"  # in place of a unit on an axis; the script of a page reads it, too
 
 
@@ -30,7 +29,7 @@ class Trace:
         held: True if each value is held until the next sample, as commands are.
         anew: True if the line restarts at each break of its drawing.
         x: Increasing values of the horizontal axis; None takes the values of the drawing.
-        stems: True for lines from zero to each value, displaced by `shift`.
+        stems: True for lines from zero to each value.
         upper: Upper ends of bars that begin at the values.
         items: Texts shown instead of values.
     """
@@ -42,16 +41,8 @@ class Trace:
     anew: bool = False
     x: Array | None = None
     stems: bool = False
-    shift: float = 0.0
     upper: Array | None = None
     items: Mapping[float, str] = field(default_factory=dict)
-
-    @property
-    def form(self) -> str:
-        """Return the kind of drawing for the page's script."""
-        if self.upper is not None or self.stems:
-            return "stems" if self.upper is None else "bars"
-        return next((word for word in self.style.split() if word in POINTS), "held" if self.held else "line")
 
 
 @dataclass(frozen=True)
@@ -91,6 +82,27 @@ def axis_unit(unit: str) -> str:
     return shown_unit(unit) or unit or NO_UNIT_TEXT
 
 
+def signal_panel(
+    title: str,
+    unit: str,
+    lines: Iterable[tuple[str, Array, str]],
+    band: tuple[str, Array, Array] | None = None,
+    *,
+    held: bool = False,
+    **more: Any,
+) -> Panel:
+    """Return a panel in the display unit of a unit.
+
+    Args:
+        lines: Label, values in the unit, and style of each line.
+        band: Label and edges in the unit.
+        more: Further attributes of the panel.
+    """
+    traces = [Trace(label, displayed(values, unit), style, held) for label, values, style in lines]
+    shaded = band and Band(band[0], displayed(band[1], unit), displayed(band[2], unit))
+    return Panel(title, axis_unit(unit), traces, shaded, **more)
+
+
 def extent(signals: Sequence[Array]) -> tuple[float, float] | None:
     """Return the least and largest finite value."""
     finite = np.concatenate([np.zeros(0), *(values[np.isfinite(values)] for values in signals)])
@@ -104,26 +116,29 @@ def by_unit(
 
     Signals without a unit share a panel only if each is visible on the common axis.
     """
-    groups: list[tuple[str, list[str], float, float, float]] = []  # unit, names, range, smallest range of a signal
+    groups: list[tuple[str, list[str]]] = []
+    spans: dict[str, tuple[float, float]] = {}
+
+    def are_visible(chosen: Sequence[str]) -> bool:
+        low, high = zip(*(spans[name] for name in chosen), strict=True)
+        ranges = [b - a for a, b in zip(low, high, strict=True) if b - a > CONSTANT * max(abs(a), abs(b))]
+        return max(high) - min(low) <= WIDEST_RANGES * min(ranges, default=math.inf)
+
     for name in names:
-        shared, around = unit(name), extent([values(name)])
-        low, high = around or (math.inf, -math.inf)
-        smallest = high - low if high - low > CONSTANT * max(abs(low), abs(high)) else math.inf
-        for k, (other, chosen, least, most, narrowest) in enumerate(groups):
-            least, most, narrowest = min(low, least), max(high, most), min(smallest, narrowest)
-            shows_all = shared not in NO_UNIT or most - least <= WIDEST_RANGES * narrowest
-            if shared == other and len(chosen) < OTHERS_PER_PANEL and shows_all:
-                groups[k] = other, [*chosen, name], least, most, narrowest
+        spans[name] = extent([values(name)]) or (math.inf, -math.inf)
+        for shared, chosen in groups:
+            is_free = shared == unit(name) and len(chosen) < OTHERS_PER_PANEL
+            if is_free and (shared not in ("", "1") or are_visible([*chosen, name])):
+                chosen.append(name)
                 break
         else:
-            groups.append((shared, [name], low, high, smallest))
-    return [(shared, chosen) for shared, chosen, *_ in groups]
+            groups.append((unit(name), [name]))
+    return groups
 
 
 def held_panels(signals: Mapping[str, Array], units: Mapping[str, str]) -> list[Panel]:
     """Return panels of signals that hold their values between rows, grouped by unit."""
-    panels = []
-    for unit, names in by_unit(signals, units.__getitem__, signals.__getitem__):
-        traces = [Trace(n, displayed(signals[n], unit), f"s{k}", held=True) for k, n in enumerate(names)]
-        panels.append(Panel(", ".join(names), shown_unit(unit) or "1", traces))
-    return panels
+    return [
+        signal_panel(", ".join(names), unit, [(n, signals[n], f"s{k}") for k, n in enumerate(names)], held=True)
+        for unit, names in by_unit(signals, units.__getitem__, signals.__getitem__)
+    ]

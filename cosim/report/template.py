@@ -2,27 +2,70 @@
 
 from __future__ import annotations
 
+import math
 import re
-from collections.abc import Mapping, Sequence
+import shlex
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from cosim.core import text as text_of_numbers
 from cosim.core.messages import printable
+from cosim.core.version import __version__
 from cosim.files.cache import cache_folder
+from cosim.report.charts import Charts
 
 IN_TEMPLATES = ("MISSING", "amount", "counted", "percent", "plain", "size")  # of `cosim.core.text`
 TEMPLATES = Path(__file__).with_name("templates")
+SECTION = re.compile(r'<section id="([^"]+)"(?: data-nav="([^"]+)")?>\s*<h2>(.*?)</h2>')
+NO_OPTIONS: Mapping[str, Iterable[str]] = MappingProxyType({})
 
 
-def render(page: Path, values: Mapping[str, Any], folders: Sequence[Path] = (), *, is_report: bool = True) -> str:
+@dataclass(frozen=True)
+class Row:
+    """A row of a table: a label, a value, and a note on how the value was measured."""
+
+    label: str
+    value: str
+    note: str = ""
+
+
+def command(*words: str, options: Mapping[str, Iterable[str]] = NO_OPTIONS) -> str:
+    """Return a command line in which each option is repeated for each of its values."""
+    return shlex.join([*words, *(word for flag, values in options.items() for v in values for word in (flag, v))])
+
+
+def assignments(values: Mapping[str, Any]) -> list[str]:
+    """Return values as `name=value` of a command line."""
+    return [f"{name}={str(v).lower() if isinstance(v, bool) else v}" for name, v in values.items()]
+
+
+def places(**values: float) -> dict[str, float]:
+    """Return the places [%] of finite values on a ruler; the macro `ruler` draws low, high, neutral, thesis and dot."""
+    finite = {name: value for name, value in values.items() if math.isfinite(value)}
+    low = min(finite.values(), default=0.0)
+    span = max(finite.values(), default=0.0) - low
+    return {name: round(4.0 + 92.0 * (v - low) / span, 2) if span else 50.0 for name, v in finite.items()}
+
+
+def render(
+    page: Path,
+    values: Mapping[str, Any],
+    charts: Charts | None = None,
+    folders: Sequence[Path] = (),
+    *,
+    is_report: bool = True,
+) -> str:
     """Return a self-contained HTML page from a template.
 
     The template may use the shared templates, templates in `folders`, and the functions IN_TEMPLATES. Every `.css` and
     `.js` in the page's folder is inlined. Lines of a template literal lose their indentation.
 
     Args:
-        is_report: Whether the page draws the charts of `Charts.data` by itself.
+        charts: All charts of the page, unless `values` has their `data`.
+        is_report: Whether the page draws its charts by itself.
     """
     # Only pages need jinja2: `import cosim.report` must not load it.
     from jinja2 import Environment, FileSystemBytecodeCache, FileSystemLoader, StrictUndefined
@@ -41,11 +84,13 @@ def render(page: Path, values: Mapping[str, Any], folders: Sequence[Path] = (), 
     )
     environment.globals |= {name: getattr(text_of_numbers, name) for name in IN_TEMPLATES}
     environment.filters["code"] = lambda text: Markup(re.sub("`([^`]+)`", r"<code>\1</code>", str(escape(text))))
+    environment.filters["sections"] = lambda body: [[Markup(text) for text in found] for found in SECTION.findall(body)]
     # A page's own style overrides the shared style.
     style = inline([TEMPLATES / "report.css", *sorted(page.parent.glob("*.css"))])
     scripts = [TEMPLATES / "chart.js", *sorted(page.parent.glob("*.js"))]
     script = inline([*scripts, *([TEMPLATES / "report.js"] if is_report else [])])
-    return environment.get_template(page.name).render(**values, style=style, script=script)
+    shared = {"version": __version__, "data": charts.data() if charts else "{}", "style": style, "script": script}
+    return environment.get_template(page.name).render({**shared, **values})
 
 
 def inline(files: Sequence[Path]) -> str:

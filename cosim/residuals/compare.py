@@ -13,12 +13,11 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from cosim.core.arrays import Array
+from cosim.core.arrays import Array, NamedArrays, NamedValues
 from cosim.core.errors import SimulationError
 from cosim.core.text import join_names, plain, size
-from cosim.logs.channel_noise import least_noise_level
 from cosim.logs.gate import ORDER, refuse_faults
-from cosim.logs.log import SENSORS, Finding, Log
+from cosim.logs.log import Finding, Log, least_noise_level
 from cosim.logs.model_comparison import output_findings
 from cosim.residuals.drive import Drive, as_columns
 from cosim.residuals.residual_statistics import (
@@ -199,7 +198,7 @@ def floors(drive: Drive, free: Replay, measured: Replay) -> dict[str, ChannelFlo
 
     linear = _linear_run(drive, free, levels) if horizon == FREE_RUN else None
 
-    def predict(readings: Mapping[str, Array]) -> Mapping[str, Array]:
+    def predict(readings: NamedArrays) -> NamedArrays:
         other = copy.copy(drive)
         other.log = replace(log, outputs=readings)
         if horizon != FREE_RUN:
@@ -235,7 +234,7 @@ def floors(drive: Drive, free: Replay, measured: Replay) -> dict[str, ChannelFlo
 
 
 def _linear_run(
-    drive: Drive, free: Replay, levels: Mapping[str, float]
+    drive: Drive, free: Replay, levels: NamedValues
 ) -> Callable[[int, int, Mapping[str, Any]], Array] | None:
     """Return a run of the FMU's linearization about the free run, with respect to the start values, to save FMU runs.
 
@@ -304,53 +303,31 @@ def worst_first(channels: Sequence[ChannelSummary]) -> list[ChannelSummary]:
 
 
 def sentence(comparison: Comparison) -> str:
-    """Return the verdict in words: the worst channel as the first sentence, then other channels and the cause."""
+    """Return the verdict in words: the worst channel, what its residual follows, and the probable cause."""
     channels = worst_first([c for c in comparison.channels if c.scores[c.measure].rows] or comparison.channels)
-    worst, *others = channels
-    lost, answer = [c for c in channels if c.lost], verdict(comparison)
+    worst, lost, answer = channels[0], [c for c in channels if c.lost], verdict(comparison)
     seconds = plain(float(comparison.log.time[-1] - comparison.log.time[0]))
     over = f"a free run of {seconds}\u00a0s" if worst.measure == FREE_RUN else horizon_name(worst.measure)
     error = f"{size(worst.scores[worst.measure].rmse, worst.unit)} (rms) over {over}"
     error += f", {plain(worst.excess, 2)} times its noise floor" if math.isfinite(worst.excess) else ""
     texts = []
     if answer == "unexplained":
-        follows, cause = _cause(comparison, [c for c in channels if not (c.is_explained or c.lost)])
-        small = ", which noise could explain" if worst.is_matched else ""
-        texts.append(f"{worst.name} is off by {error}{small}{follows}.")
-        if also := [c for c in others if not (c.is_matched or c.lost)]:
-            times = [f" ({plain(c.excess, 2)} times)" if math.isfinite(c.excess) else "" for c in also]
-            names = [f"{c.name}{text}" for c, text in zip(also, times, strict=True)]
-            texts.append(f"Above the noise floor too: {join_names(names)}.")
-        texts.append(cause)
+        wrong = {c.name: c for c in channels if not (c.is_explained or c.lost)}
+        follows, cause = "follows no input", "The cause may be an effect of the motion, a disturbance or a sensor"
+        if pairs := [(c, u) for c in wrong.values() for u in c.inputs[:1] if u.stands_out]:
+            channel, by = max(pairs, key=lambda pair: pair[1].strength)
+            follows = f"of {channel.name} follows {by.name} (correlation {plain(float(by.rho[by.peak]), 2)})"
+            cause = f"The model's answer to {by.name} is wrong or incomplete"
+            cause += "" if by.ahead else ", or the loop answers a disturbance"
+        delays = [f for f in comparison.findings if f.kind == "delay" and f.channel in wrong]
+        if delays := [f for f in delays if abs(f.numbers["delay"]) > comparison.log.step]:
+            cause = max(delays, key=lambda f: abs(f.numbers["delay"]) / f.numbers["error"]).whole
+        texts.append(f"{worst.name} is off by {error}; the residual {follows}. {cause}.")
     elif answer == "explained":
-        every = f"All {len(channels)} channels agree" if others else f"{worst.name} agrees"
-        texts.append(f"{every} with the log within sensor noise; {worst.name} is off by {error}.")
+        texts.append(f"All channels agree with the log within sensor noise; {worst.name} is off by {error}.")
     if lost:
-        own = join_names([f"{c.name} by {size(c.floor.astray, c.unit)}" for c in lost])
         free = join_names([f"{c.name} by {size(c.scores[FREE_RUN].rmse, c.unit)}" for c in lost])
-        texts += [
-            f"Windows cannot judge {join_names([c.name for c in lost])}: this FMU keeps a state that no output shows.",
-            f"Restarted from its own outputs it misses {own}. Its free run misses {free}.",
-        ]
+        texts.append(
+            f"Windows cannot judge this FMU, which keeps a state that no output shows. Its free run misses {free}."
+        )
     return " ".join(texts)
-
-
-def _cause(comparison: Comparison, channels: Sequence[ChannelSummary]) -> tuple[str, str]:
-    """Return what the residual follows, as a clause, and the probable cause as a sentence.
-
-    Causes are a claimed error of a sensor, a delay, or an answer to an input.
-    """
-    names, findings = {c.name for c in channels}, comparison.findings
-    late = [f for f in findings if f.kind == "delay" and f.channel in names]
-    late = [f for f in late if abs(f.numbers["delay"]) > comparison.log.step]
-    late.sort(key=lambda f: -abs(f.numbers["delay"]) / f.numbers["error"])
-    known = [f"{f.whole[:1].upper()}{f.whole[1:]}" for f in findings if f.kind == SENSORS] + [f.whole for f in late]
-    pairs = [(c, u) for c in channels for u in c.inputs[:1] if u.stands_out]
-    if not pairs:
-        why = "The cause may be an effect that depends on the motion, a disturbance or a sensor"
-        return "; the residual follows no input", f"{(known or [why])[0]}."
-    channel, follows = max(pairs, key=lambda pair: pair[1].strength)
-    rho = plain(float(follows.rho[follows.peak]), 2)
-    why = f"The model's answer to {follows.name} is wrong or incomplete"
-    why += "" if follows.ahead else ", or the loop answers a disturbance"
-    return f"; the residual of {channel.name} follows {follows.name} (correlation {rho})", f"{(known or [why])[0]}."

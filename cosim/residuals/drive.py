@@ -26,7 +26,7 @@ from cosim.files.artefact import FMU, LOG
 from cosim.files.kinds import check_given
 from cosim.files.yaml_file import Document, NotYaml, short
 from cosim.fmi.description import read_description, takes_any_step
-from cosim.fmi.sampled import traits_of
+from cosim.fmi.model_description import traits_of
 from cosim.fmi.state import Memory, Own
 from cosim.isolation import worker as here
 from cosim.isolation.limits import Limits
@@ -488,3 +488,8 @@ class DriveApart(Drive):
             self._worker.spent,
             None if progress is None else lambda made: progress(driven + made),
         )
+
+
+def drive_in(worker: Worker | None, log: Log, fmu: Path, *, limits: Limits | None = None, **options: Any) -> Drive:
+    """Return a drive whose FMU runs in a worker process, if any; further options are those of `Drive`."""
+    return Drive(log, fmu, **options) if worker is None else DriveApart(worker, log, fmu, limits=limits, **options)

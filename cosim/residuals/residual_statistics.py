@@ -6,14 +6,13 @@ NaN marks a missing measurement or prediction; every statistic uses the availabl
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 
-from cosim.core.arrays import Array, Rows, centre, correlation
-from cosim.logs.channel_noise import NORMAL_95
-from cosim.logs.log import slowness
+from cosim.core.arrays import Array, NamedArrays, Rows, centre, correlation
+from cosim.logs.log import NORMAL_95, slowness
 
 FREE_RUN = math.inf  # as a horizon [s]
 LJUNG_BOX_LAGS = 20
@@ -119,7 +118,7 @@ def whiteness(residual: Array, lags: int) -> Whiteness:
     return Whiteness(rho, NORMAL_95 / math.sqrt(count), chance)
 
 
-def input_correlations(residual: Array, inputs: Mapping[str, Array], lags: int) -> tuple[InputCorrelation, ...]:
+def input_correlations(residual: Array, inputs: NamedArrays, lags: int) -> tuple[InputCorrelation, ...]:
     """Return the correlation of the residual with each changing input, strongest first.
 
     The band is Bartlett's, 1.96·√(Σ_k ρ_r(k)·ρ_u(k) / n), because slow signals correlate by chance.
@@ -149,7 +148,7 @@ def lags_of(rows: int, step: float, seconds: float = 1.0) -> int:
     return max(1, min(round(seconds * slowness(step) / step), rows // 4))
 
 
-def pool_errors(errors: Iterable[Mapping[str, Array]]) -> dict[str, float]:
+def pool_errors(errors: Iterable[NamedArrays]) -> dict[str, float]:
     """Return channel → RMSE over several logs."""
     channels: dict[str, list[Array]] = {}
     for log in errors:

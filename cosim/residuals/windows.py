@@ -21,12 +21,11 @@ from typing import Any
 
 import numpy as np
 
-from cosim.core.arrays import Array, Rows
+from cosim.core.arrays import Array, NamedArrays, NamedValues, Rows
 from cosim.core.errors import SimulationError
 from cosim.core.linear_algebra import least_squares
 from cosim.fmi.state import MEMORY, STATE, Memory, Own
-from cosim.logs.channel_noise import least_noise_level, noise_level
-from cosim.logs.log import Log, stretches
+from cosim.logs.log import Log, least_noise_level, noise_level, stretches
 from cosim.model.namespaces import SCALAR
 from cosim.model.planar import local_vector, world_velocity
 from cosim.model.traits import rate_of
@@ -61,7 +60,7 @@ class Replay:
 
     horizon: float
     starts: Mapping[int, Mapping[str, Any]]
-    outputs: Mapping[str, Array]
+    outputs: NamedArrays
     states: Mapping[int, Own] = field(default_factory=dict)
     parameters: Mapping[str, StartParameter] = field(default_factory=dict)
 
@@ -115,7 +114,13 @@ def self_started(drive: Drive, free: Replay, horizon: float) -> Replay | None:
     for rows, begin in runs:
         own, carrier, since = free.states.get(rows[0]), free.outputs, 0
         for first, last in pairwise(rows):
-            start = window_start(drive, parameters, sigma, carrier, since, first)
+            # from the carrier, valid from row `since`, and from past measurements
+            state = {name: float(carrier[name][first]) for name in parameters}
+            oldest = int(np.searchsorted(log.time, log.time[first] - OLDEST * log.slowness))
+            past = np.arange(max(since, oldest), first + 1)
+            corrected = _corrections(drive, carrier, sigma, state, first, past)
+            # of an FMU whose state can be read, that of the carrier provides all that is not corrected
+            start = _values_for(parameters, corrected if readable(parameters) else state | corrected)
             memory = None
             if own is not None:  # what the start values do not set
                 started = {(STATE, k) for p in parameters.values() if p.name in start for k in p.places}
@@ -260,36 +265,12 @@ def first_start(drive: Drive, parameters: Mapping[str, StartParameter]) -> dict[
     return start
 
 
-def _values_for(parameters: Mapping[str, StartParameter], outputs: Mapping[str, float]) -> dict[str, float]:
+def _values_for(parameters: Mapping[str, StartParameter], outputs: NamedValues) -> dict[str, float]:
     """Return the values of start parameters that give some outputs."""
     return {parameters[name].name: parameters[name].value(value) for name, value in outputs.items()}
 
 
-def window_start(
-    drive: Drive,
-    parameters: Mapping[str, StartParameter],
-    sigma: Mapping[str, float],
-    carrier: Mapping[str, Array],
-    since: int,
-    k: int,
-) -> dict[str, float]:
-    """Return the start values of a window at row k, from the carrier run and from past measurements.
-
-    If the state of the FMU can be read, the result has only corrected states; the state of the carrier provides the
-    others.
-
-    Args:
-        carrier: Outputs of the previous window or free run, valid from row `since`.
-        sigma: Channel → noise level.
-    """
-    log = drive.log
-    state = {name: float(carrier[name][k]) for name in parameters}
-    oldest = int(np.searchsorted(log.time, log.time[k] - OLDEST * log.slowness))
-    corrected = _corrections(drive, carrier, sigma, state, k, np.arange(max(since, oldest), k + 1))
-    return _values_for(parameters, corrected if readable(parameters) else state | corrected)
-
-
-def noise_levels(log: Log, model: Mapping[str, Array] | None = None) -> dict[str, float]:
+def noise_levels(log: Log, model: NamedArrays | None = None) -> dict[str, float]:
     """Return channel → noise level, more accurate with outputs of the model."""
     return {name: sigma_of(values, (model or {}).get(name)) for name, values in log.outputs.items()}
 
@@ -301,9 +282,9 @@ def readable(parameters: Mapping[str, StartParameter]) -> bool:
 
 def _corrections(
     drive: Drive,
-    carrier: Mapping[str, Array],
-    sigma: Mapping[str, float],
-    state: Mapping[str, float],
+    carrier: NamedArrays,
+    sigma: NamedValues,
+    state: NamedValues,
     at: int,
     rows: Rows,
 ) -> dict[str, float]:

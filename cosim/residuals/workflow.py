@@ -12,13 +12,12 @@ from typing import Any
 import numpy as np
 
 from cosim.blocks.compiling import compiling
-from cosim.core.arrays import Array, far_beyond
-from cosim.core.drafts import is_full
-from cosim.core.errors import DiskFull, InputError, SimulationError, Terminated, stop_error
+from cosim.core.arrays import Array, NamedArrays, far_beyond
+from cosim.core.errors import InputError, SimulationError, Terminated, stop_error
 from cosim.core.registry import BASE
 from cosim.core.scratch import temporary_folder
 from cosim.core.settings import Given, column_names, texts
-from cosim.core.text import as_yaml, join_names, showing
+from cosim.core.text import as_yaml, showing
 from cosim.credibility.validity import validity_of
 from cosim.files.artefact import LOG
 from cosim.files.files import (
@@ -34,8 +33,6 @@ from cosim.files.files import (
 from cosim.files.folders import (
     REPLAY,
     SCHEMA_VERSION,
-    content_of,
-    describe_run,
     name_of_file,
     remove_earlier,
     results_in,
@@ -44,20 +41,18 @@ from cosim.files.kinds import check_given
 from cosim.files.results import Results, rows_name
 from cosim.files.table import read_header, split_heading
 from cosim.fmi.building.file import load_model
-from cosim.fmi.building.refined import ANSWER, folder_of
 from cosim.fmi.description import display_units, read_description
 from cosim.fmi.fmu_build import build as build_fmu
 from cosim.isolation.limits import read_limits
 from cosim.isolation.process import Worker
 from cosim.logs.gate import gate, outliers, refuse_faults
-from cosim.logs.log import SENSORS, Finding, read_column_names
+from cosim.logs.log import Finding, read_column_names
 from cosim.logs.spikes import find_spikes
-from cosim.report.template import render
 from cosim.residuals.compare import Comparison, compare, sentence, steps_of, verdict
-from cosim.residuals.drive import MODULES, PLANT, Drive, DriveApart, as_columns, log_of_fmu, start_values
+from cosim.residuals.drive import MODULES, PLANT, Drive, as_columns, drive_in, log_of_fmu, start_values
 from cosim.residuals.log_region import signals_along
 from cosim.residuals.replay_signals import Replay, read_replay
-from cosim.residuals.report import TEMPLATE, context
+from cosim.residuals.report import page
 from cosim.residuals.residual_statistics import FREE_RUN
 from cosim.residuals.windows import Replay as Replayed
 from cosim.residuals.windows import free_run
@@ -131,24 +126,15 @@ def replay(
         stack.enter_context(showing({"display": display}))
         given, total = start_values(driven, values), steps_of(measured)
         report_step = None if progress is None else lambda done: progress(min(done, total), total)
-        remote = None
-        if worker is not None:
-            remote = DriveApart(worker, measured, driven, report_step, limits=most, given=given)
-        drive = stack.enter_context(remote or Drive(measured, driven, report_step, given=given))
+        settings: dict[str, Any] = {"progress": report_step, "limits": most, "given": given}
+        drive = stack.enter_context(drive_in(worker, measured, driven, **settings))
         findings = gate(measured, drive.rate, drive.traits, {}, drive.starts)
-        if claimed := _claimed_sensors(driven):
-            message = (
-                f"the readings have {join_names(claimed)}, which the refine beside {driven.name} claims and an FMU "
-                "does not hold; correct the readings, or see error.after in its refine.json"
-            )
-            findings.append(Finding("warning", SENSORS, "", message))
         refuse_faults(measured, findings)
         written = rows_file.name, residual_file.name, "report.html", REPLAY, NEXT_STUDY
         check_writable(place, written, (path, driven))
         remove_earlier(place, read=(path, driven))
         sources: dict[str, Any] = {"log": str(path), "fmu": str(driven) if fmu else ""}
         sources |= {"start": dict(given)} if given else {}
-        describe_run(place, sources)
         free = _free_run(drive, rows_file)
         try:
             release_stops()
@@ -165,11 +151,11 @@ def replay(
             content |= {"validity": validity} if validity else {}
             write_json(place / REPLAY, {**content, "display": display}, indent=1)
             next_study = place / NEXT_STUDY
-            if not claimed and answer["verdict"] != "explained":
+            if answer["verdict"] != "explained":
                 write_text(next_study, _next_study(place, driven if fmu else None, path, names, values))
             if report and out is not None:
-                values_of_page = context(comparison, next_study, validity, passing=fmu is None)
-                write_text(place / "report.html", render(TEMPLATE, values_of_page))
+                text = page(comparison, next_study, validity, passing=fmu is None)
+                write_text(place / "report.html", text)
         except (KeyboardInterrupt, Terminated) as stop:  # all rows of the free run are written
             ended = stop_error(stop, float(measured.time[-1]), "the comparison")
             ended.left = place
@@ -189,48 +175,25 @@ def _plant_of(log: Path, columns: Mapping[str, str], folder: Path) -> Path:
     return build_fmu(base.recipe(), folder / "plant.fmu")
 
 
-def _claimed_sensors(fmu: Path) -> list[str]:
-    """Return the errors of sensors that a refine beside an FMU claims; no FMU holds them."""
-    beside = folder_of(fmu)
-    effects = content_of(beside / ANSWER).get("effects") if beside else None
-    entries = effects if isinstance(effects, list) else []
-    return [str(e.get("name")) for e in entries if isinstance(e, dict) and e.get("kind") == "sensor"]
-
-
 def _free_run(drive: Drive, file: Path) -> Replayed:
-    """Run the FMU over the whole log and write its rows. After a failure, write the finished rows."""
+    """Run the FMU over the whole log and write its rows, with units in replay.json; of a failure the finished rows."""
+    error: SimulationError | None = None
     try:
         free = free_run(drive)
         hold_stops()  # From here, rows exist that must not be lost.
+        rows = results(drive, free.outputs)
     except (SimulationError, KeyboardInterrupt, Terminated) as stop:
         if drive.left is None:
             raise
         rows = results(drive, as_columns(drive.left, drive.outputs))
-        _write_rows(rows, file)
-        time = rows.time[-1] if rows.time.size else drive.log.time[0]
-        error = stop_error(stop, time, "the replay")
+        error = stop_error(stop, rows.time[-1] if rows.time.size else drive.log.time[0], "the replay")
         error.left = file.parent
+    content = {"schema_version": SCHEMA_VERSION, "status": "stopped", "units": dict(rows.units)}
+    write_json(file.with_name(REPLAY), content, indent=1)  # rewritten at the end
+    rows.write(file)
+    if error is not None:
         raise error from None
-    _write_rows(results(drive, free.outputs), file)
     return free
-
-
-def _write_rows(rows: Results, file: Path) -> None:
-    """Write the rows, with units in replay.json; raise DiskFull after a partial write."""
-    try:
-        content = {"schema_version": SCHEMA_VERSION, "status": "stopped", "units": dict(rows.units)}
-        write_json(file.with_name(REPLAY), content, indent=1)  # rewritten at the end
-        rows.write(file)
-    except OSError as error:
-        if not is_full(error):
-            raise
-        try:
-            file.unlink(missing_ok=True)  # an earlier file, whose space is needed
-            count = rows.write_what_fits(file)
-        except OSError:
-            count = 0
-        reason = f"the disk is full: {count} of {len(rows.time)} rows are in {file.name}"
-        raise DiskFull("the replay", rows.time[max(0, count - 1)].item(), reason) from None
 
 
 def _next_study(folder: Path, fmu: Path | None, log: Path, columns: Mapping[str, str], start: Sequence[str]) -> str:
@@ -259,7 +222,7 @@ def _next_study(folder: Path, fmu: Path | None, log: Path, columns: Mapping[str,
     return "\n".join(lines) + "\n"
 
 
-def results(drive: Drive, outputs: Mapping[str, Array]) -> Results:
+def results(drive: Drive, outputs: NamedArrays) -> Results:
     """Return commands and FMU outputs as `plant.variable`, measurements as `log.variable`."""
     log, rows = drive.log, len(next(iter(outputs.values())))
     columns = {f"{PLANT}.{n}": v[:rows] for n, v in (*log.inputs.items(), *outputs.items())}

@@ -18,10 +18,9 @@ from pydantic import ValidationError
 from cosim.core.errors import Fault, InputError
 from cosim.core.text import did_you_mean
 from cosim.files.artefact import MANIFEST, SCENARIO, kind_by_keys
-from cosim.files.folders import SCHEMA_VERSION, other_version
+from cosim.files.folders import other_version
 from cosim.files.kinds import check_form, refuse_other
-from cosim.files.yaml_file import Document, Location, NotYaml, Origin, YamlFile, location_in, short
-from cosim.fmi.building.refined import NEAREST, REFINED, NoNearest, folder_of, names_refine, refined_file
+from cosim.files.yaml_file import Document, Location, NotYaml, Origin, YamlFile, location_in, remove_part, short
 from cosim.scenario.scenario import Component, FmuComponent, Recording, Scenario, ValidCriterion
 from cosim.scenario.start_values import STAND_IN, waiting_texts
 
@@ -73,12 +72,7 @@ class ScenarioFile:
             subject = f'{option} "{short(override)}"' if option else ""
             self.yaml.overrides[_override(path, data, override, subject)] = subject
         self.faults: list[Fault] = []
-        self.warnings: list[str] = []  # faults in valid parts of the scenario
-        if self.manifest is not None and "schema_version" not in self.manifest:
-            self.warnings.append(
-                f"{path} is a manifest without schema_version, perhaps edited; it is read as version {SCHEMA_VERSION}"
-            )
-        self.warnings += other_version(path, self.manifest or {})
+        self.warnings = [*other_version(path, self.manifest or {})]  # faults in valid parts of the scenario
         form_faults = self._read(data)
         texts = [*waiting_texts(self.scenario, self.places, self.resolve)]
         for at, text, number_of in texts:
@@ -108,7 +102,7 @@ class ScenarioFile:
         except InputError as error:
             faults = [*error.faults]
         data = copy.deepcopy(data)
-        for _ in range(3):  # The remainder may lack a required key.
+        for _ in range(5):  # The remainder may lack a required key.
             try:
                 self.scenario = Scenario.model_validate(data)
                 return faults
@@ -117,32 +111,21 @@ class ScenarioFile:
                 self._drop(data, [location_in(data, e["loc"], e["type"]) for e in found])
         raise InputError(faults)
 
-    def _drop(self, data: dict[str, Any], locations: Sequence[tuple[int | str, ...]]) -> None:
+    def _drop(self, data: dict[str, Any], locations: Sequence[Location]) -> None:
         """Remove the smallest part around each location, so that the rest can be checked."""
-        entries: dict[str, set[int]] = {}
+        entries: dict[Any, set[Any]] = {}
         for first, *rest in filter(None, locations):
-            if first in LISTS and rest and isinstance(rest[0], int):
-                entries.setdefault(str(first), set()).add(rest[0])
-            elif first == "components" and rest:
-                name, *within = rest
-                component = data["components"].get(name)
-                start = component.get("start") if isinstance(component, dict) else None
-                key = within[0] if within else ""
-                if isinstance(component, dict) and within == [key] and key in component and key not in {"fmu", "block"}:
-                    del component[key]
-                elif key == "start" and isinstance(start, dict) and len(within) == 2:
-                    start.pop(within[1], None)
-                else:
-                    data["components"].pop(name, None)
-                    self.broken.add(str(name))
-                    data["components"] = data["components"] or {"_": {"block": "reference", "signals": {"_": {}}}}
-            elif first == "criteria" and rest:
-                data["criteria"].pop(rest[0], None)
-            elif first in STAND_INS:
+            if first in STAND_INS:
                 data |= STAND_INS
                 self.stands_in = True
+            elif first in LISTS and rest:
+                entries.setdefault(first, set()).add(rest[0])
             else:
-                data.pop(str(first), None)
+                part, key = remove_part(data, (first, *rest))
+                if part is data.get("components"):
+                    self.broken.add(str(key))
+        if not data.get("components", True):
+            data["components"] = {"_": {"block": "reference", "signals": {"_": {}}}}
         for key, faulty in entries.items():
             parts: tuple[dict[str, Any], ...] = (data, self.places)
             for part in parts:
@@ -307,10 +290,9 @@ def _override(path: Path, data: dict[str, Any], text: str, subject: str) -> Loca
                     node[index] = from_here(keys, value)
                 return tuple(at)
             node = node.setdefault(index, {}) if isinstance(node, dict) else node[index]
-        reason = f"cannot be set: the scenario has no {short(target)}"
-        if keys[0] == "components" and isinstance(components := data.get("components"), dict):
-            some, hint = ", ".join(map(short, islice(components, 20))), did_you_mean(keys[1], components)
-            reason = f'needs component "{short(keys[1])}", which the scenario lacks{hint} (its components: {some})'
+        names = [*map(short, islice(components, 20))] if isinstance(components, dict) else []
+        reason = f"cannot be set: the scenario has no {short(target)} (its components: {', '.join(names)})"
+        reason += did_you_mean(keys[1], names) if keys[0] == "components" else ""
     raise InputError.at(path, f"{subject or short(target)} {reason}")
 
 
@@ -360,41 +342,14 @@ def with_files_beside(scenario: Scenario, folder: Path) -> Scenario:
     A file missing at its path is searched by name in `folder` or in the system of an SSP there. A file with changed
     content is replaced too, if the file in `folder` has the recorded hash.
     """
-    components: dict[str, Any] = {}
-    for name, component in scenario.components.items():
+    components: dict[str, Any] = dict(scenario.components)
+    for name, component in components.items():
         key = key_of(component)
         pinned, named = getattr(component, "sha256", None), getattr(component, key, None)
         file = PureWindowsPath(named or "").name  # file name from a path of any operating system
-        substitute = next((each for each in (file, f"{SYSTEM}/{file}") if (folder / each).is_file()), "")
-        if pinned is None or not named or not substitute:
-            continue
-        original = folder / named
-        if not original.is_file() or (sha256(original) != pinned and sha256(folder / substitute) == pinned):
-            components[name] = component.model_copy(update={key: substitute})
-    return scenario.model_copy(update={"components": {**scenario.components, **components}}) if components else scenario
-
-
-# -- nearest models --------------------------------------------------------------------------------
-
-
-def take_nearest(file: ScenarioFile) -> None:
-    """Replace refined FMUs by the nearest, as `--nearest` asks. Failures become faults of the scenario file."""
-    components: dict[str, Any] = dict(file.scenario.components)
-    has_refined = False
-    for name, component in components.items():
-        if not isinstance(component, FmuComponent):
-            continue
-        path = file.resolve(component.fmu)
-        if not folder_of(path) or not (path.name in (*REFINED, *NEAREST) or names_refine(path)):
-            continue
-        has_refined = True
-        try:
-            if component.sha256 is not None:
-                raise NoNearest("a manifest repeats its run unchanged; omit --nearest, or run the scenario")
-            components[name] = component.model_copy(update={"fmu": str(refined_file(path, nearest=True))})
-        except NoNearest as error:
-            file.faults.append(file.fault(("components", name, "fmu"), str(error)))
-    if not has_refined:
-        reason = "no component uses a result of `cosim refine`, so --nearest has no effect"
-        file.faults.append(Fault(file.path, 0, 0, f"{reason}; use the FMU of a refine result, or omit --nearest"))
-    file.scenario = file.scenario.model_copy(update={"components": components})
+        beside = next((each for each in (file, f"{SYSTEM}/{file}") if (folder / each).is_file()), "")
+        if pinned is not None and named and beside:
+            original = folder / named
+            if not original.is_file() or (sha256(original) != pinned and sha256(folder / beside) == pinned):
+                components[name] = component.model_copy(update={key: beside})
+    return scenario.model_copy(update={"components": components})

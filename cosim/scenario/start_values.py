@@ -13,6 +13,8 @@ from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
+from pydantic import BaseModel
+
 from cosim.blocks.component import Signal
 from cosim.blocks.sources import playback
 from cosim.core.errors import FmuError, InputError
@@ -28,22 +30,14 @@ from cosim.core.units import (
 from cosim.files.yaml_file import Location
 from cosim.fmi.description import enumeration_items, is_difference, read_description, unit_definition, unit_of
 from cosim.fmi.fmi_types import element_names, kinds_of
-from cosim.scenario.scenario import (
-    FixedSignal,
-    FmuComponent,
-    Noise,
-    PlaybackComponent,
-    ReferenceComponent,
-    Scenario,
-    Variable,
-)
+from cosim.scenario.scenario import FmuComponent, PlaybackComponent, ReferenceComponent, Scenario
 
 STAND_IN = 1.0  # replaces a faulty quantity, so that the other checks can continue
 Resolve = Callable[[str], Path]
 # unit of a signal, and a function from (text, difference=) to a number in this unit, which may raise ValueError
 Measure = tuple[str, Callable[..., float]]
-# place, number or text, kind (value, difference, square, rate per second, integral over time), signal or its measure
-Quantity = tuple[Location, float | str | None, str, Variable | Measure]
+# place, text, kind (value, difference, square, rate per second, integral over time, time, share), signal or its measure
+Quantity = tuple[Location, str, str, str | Measure]
 HEX = re.compile(r"(?:[0-9A-Fa-f]{2})*")
 
 
@@ -202,6 +196,13 @@ def convert_quantity(description: Any, variable: Any, text: str, difference: boo
 
 # -- text in the unit of a signal ------------------------------------------------------------------
 
+KINDS = {  # key of a part → kind of its number
+    **dict.fromkeys(("offset", "bias", "band"), "difference"),
+    **dict.fromkeys(("start", "to"), "value"),
+    **{"variance": "square", "rate": "rate"},
+}
+UNITS = {"time": "s", "share": "1"}  # kind → unit, whatever the signal
+
 
 def waiting_texts(
     scenario: Scenario, places: Mapping[str, Sequence[int]], resolve: Resolve
@@ -213,46 +214,35 @@ def waiting_texts(
     """
     measure = cache(partial(_measure, scenario, resolve))
     for at, text, kind, of in _quantities(scenario, places):
-        if isinstance(text, str):
-            yield at, text, partial(_read, kind, measure, of)
+        yield at, text, partial(_read, kind, measure, of)
 
 
 def _quantities(scenario: Scenario, places: Mapping[str, Sequence[int]]) -> Iterator[Quantity]:
     for k, connection in zip(places["connections"], scenario.connections, strict=True):
-        yield ("connections", k, "offset"), connection.offset, "difference", connection.target
-        yield from _of_noise(("connections", k, "noise"), connection.noise, connection.target)
+        yield from _texts(("connections", k), connection, connection.target)
     for k, fault in zip(places["faults"], scenario.faults, strict=True):
-        of = _measure_in("1") if fault.kind == "scale" else fault.on
-        yield ("faults", k, "value"), fault.value, "value" if fault.kind == "stuck" else "difference", of
+        kind = {"stuck": "value", "scale": "share"}.get(fault.kind, "difference")
+        yield from _texts(("faults", k), fault, fault.on, value=kind)
     for goal, index, criterion in scenario.goals:
+        of_peak = "value" if goal == "peak" and not criterion.to else "difference"  # at most 80 degC
+        kind = {"settling_time": "time", "effort": "integral"}.get(goal, of_peak)
         at: Location = ("criteria", goal) if index is None else ("criteria", goal, index)
-        if isinstance(criterion.to, str) and has_unit(criterion.to):  # other text is the name of a signal
-            yield (*at, "to"), criterion.to, "value", criterion.of
-        yield (*at, "band"), criterion.band, "difference", criterion.of
-        if goal == "settling_time":
-            yield (*at, "max"), criterion.max, "value", _measure_in("s")
-        else:  # A peak without a target is a value: at most 80 degC.
-            is_value = goal == "peak" and not criterion.to
-            kind = "integral" if goal == "effort" else "value" if is_value else "difference"
-            yield (*at, "max"), criterion.max, kind, criterion.of
+        yield from _texts(at, criterion, criterion.of, max=kind)
     for name, component in scenario.components.items():
-        if isinstance(component, FmuComponent | PlaybackComponent):
-            continue
-        for signal, about in component.signals.items():
-            at, measure = ("components", name, "signals", signal), _measure_in(about.unit)
-            if isinstance(about, FixedSignal):
-                yield from _of_noise((*at, "noise"), about.noise, measure)
-                continue
-            yield (*at, "start"), about.start, "value", measure  # Degrees become radians later.
-            for k, change in enumerate(about.changes):
-                yield (*at, "changes", k, "to"), change.to, "value", measure
-                yield (*at, "changes", k, "rate"), change.rate, "rate", measure
+        if not isinstance(component, FmuComponent | PlaybackComponent):
+            for signal, about in component.signals.items():
+                yield from _texts(("components", name, "signals", signal), about, _measure_in(about.unit))
 
 
-def _of_noise(at: Location, noise: Noise | None, of: Variable | Measure) -> Iterator[Quantity]:
-    if noise is not None:
-        yield (*at, "bias"), noise.bias, "difference", of
-        yield (*at, "variance"), noise.variance, "square", of
+def _texts(at: Location, part: BaseModel, of: str | Measure, **kinds: str) -> Iterator[Quantity]:
+    """Yield the texts with units in a part of the scenario."""
+    for name, value in part:
+        kind = kinds.get(name) or KINDS.get(name)
+        if kind and isinstance(value, str) and has_unit(value):  # other text is the name of a signal
+            yield (*at, name), value, kind, of
+        for k, each in enumerate(value) if isinstance(value, list) else [(None, value)]:
+            if isinstance(each, BaseModel):
+                yield from _texts((*at, name) if k is None else (*at, name, k), each, of)
 
 
 def _measure(scenario: Scenario, resolve: Resolve, signal: str) -> Measure | None:
@@ -282,7 +272,9 @@ def _measure_in(unit: str) -> Measure:
     return unit, partial(read_quantity, unit=unit)
 
 
-def _read(kind: str, measure: Callable[[str], Measure | None], of: Variable | Measure, text: str) -> float:
+def _read(kind: str, measure: Callable[[str], Measure | None], of: str | Measure, text: str) -> float:
+    if kind in UNITS:
+        return read_quantity(text, UNITS[kind])
     if (unit_and_reader := measure(of) if isinstance(of, str) else of) is None:
         return STAND_IN
     unit, number = unit_and_reader

@@ -25,8 +25,7 @@ from cosim.scenario.scenario_file import ROUNDING, SYSTEM, ScenarioFile
 from cosim.system.system import build_system
 
 if TYPE_CHECKING:
-    from cosim.ssp.package import Element
-    from cosim.ssp.read import SspSystem
+    from cosim.ssp.read import Element, SspSystem
 
 FOLDER, SCENARIO = SYSTEM, "scenario.json"  # inside the results folder
 STOP, STEP = 1.0, 0.01  # defaults [s] if neither the SSP nor its FMUs declare a value
@@ -46,16 +45,14 @@ def lay_out(path: Path, folder: Path, overrides: Sequence[str] = ()) -> tuple[Sc
     Returns:
         The scenario file and warnings.
     """
-    from cosim.ssp.package import open_package
-    from cosim.ssp.read import SspSystem
+    from cosim.ssp.read import SspSystem, open_package
 
     with open_package(path) as package, temporary_folder("ssp") as scratch:
         system = SspSystem(package)
         files: dict[str, Path] = {}  # by unique names
         for fmu in dict.fromkeys(part.fmu for part in system.parts.values()):
             files[unique_name(fmu.stem, files, fmu.suffix)] = fmu
-        slips = list(dict.fromkeys(package.slips))
-        warnings = [*map(str, slips), *system.warnings]
+        warnings = list(system.warnings)
         keys = frozenset(override.partition("=")[0].strip() for override in overrides)
         scenario, places = _scenario(system, files, warnings, keys)
 
@@ -79,7 +76,6 @@ def lay_out(path: Path, folder: Path, overrides: Sequence[str] = ()) -> tuple[Sc
         elif not faults:
             faults.append(system.element.fault("it has no FMU, so there is nothing to run"))
         if faults:
-            faults += slips  # Slips may explain the faults.
             if package.packed:  # its temporary folder
                 faults = [
                     replace(f, message=f.message.replace(f"{package.folder}/", f"{package.shown}/")) for f in faults
@@ -113,10 +109,10 @@ def _scenario(
         for variable, (_, element) in part.start.items():
             places[("components", part.name, "start", variable)] = element
     connections = []
-    for k, link in enumerate(system.links):
-        linear = {} if link.linear is None else {"factor": link.linear.factor, "offset": link.linear.offset}
-        connections.append({"from": link.source, "to": link.target, **linear})
-        places[("connections", k)] = link.element
+    for k, (source, target, linear, element) in enumerate(system.links):
+        factors = {} if linear is None else {"factor": linear.factor, "offset": linear.offset}
+        connections.append({"from": source, "to": target, **factors})
+        places[("connections", k)] = element
     start, duration, step = _times(system, warnings, overrides)
     for key in ("start_time", "duration", "step"):
         places[(key,)] = system.experiment
@@ -141,15 +137,15 @@ def _times(system: SspSystem, warnings: list[str], overrides: Set[str]) -> tuple
 
     start, stop, step = system.start or 0.0, system.stop, system.step
     experiments = [experiment_of(part.description) for part in system.parts.values()]
+    assumed = []
     if stop is None:
         stop = start + max((e["stop"] for e in experiments if e.get("stop", 0.0) > 0.0), default=STOP)
-        if "duration" not in overrides:
-            warnings.append(f"the SSP names no stopTime: {stop - start:g} s are run; --set duration=… for others")
+        assumed.append(("duration", f"no stopTime: {stop - start:g} s are run"))
     duration = stop - start
     if step is None:
         step = min((e["step"] for e in experiments if e.get("step", 0.0) > 0.0), default=STEP)
-        if "step" not in overrides:
-            warnings.append(f"the SSP names no communication step: {step:g} s is taken; --set step=… for another")
+        assumed.append(("step", f"no communication step: {step:g} s is taken"))
+    warnings += [f"the SSP names {text}; --set {k}=… for another" for k, text in assumed if k not in overrides]
     count = duration / step
     if abs(count - round(count)) > ROUNDING * max(1.0, count) or round(count) < 1:
         duration = math.ceil(count) * step if count < 1e15 else duration

@@ -26,12 +26,11 @@ import numpy as np
 from cosim.blocks.model_exchange import LONGEST
 from cosim.core.drafts import remove_drafts
 from cosim.core.errors import InputError
-from cosim.core.messages import Note
 from cosim.core.scratch import lock_file
 from cosim.core.times import rounding, roundings
 from cosim.core.version import __version__
 from cosim.files.files import write_json
-from cosim.files.folders import content_of, fault_of, new_run, newest_run, sound_part
+from cosim.files.folders import content_of, has_type, new_run, newest_run, sound_part
 from cosim.files.results import Results, read_results, rows_in
 from cosim.files.state_file import sync, unpack
 from cosim.isolation.rows import read_exact, read_table
@@ -58,8 +57,8 @@ STOPPED_BEFORE_ROWS = "its run was stopped before its first row or checkpoint; r
 
 FOLDER, RUN, MANIFEST = "checkpoint", "run.json", "manifest.json"
 PATIENCE, PAUSE = 15.0, 0.05  # time [s] for the worker of a killed command to end, and between two looks
-EXTRA = "files"  # key of run.json beside those of a manifest: name of the rows file, warnings of an SSP, notes
-EXTRA_KIND = {"rows": str, "warnings": [str], "notes": [str]}
+EXTRA = "files"  # key of run.json beside those of a manifest: name of the rows file, warnings of an SSP
+EXTRA_KIND = {"rows": str, "warnings": [str]}
 
 
 @dataclass(frozen=True)
@@ -90,10 +89,9 @@ class StoppedRun:
             warnings: Warnings of the system; None for those of the record.
         """
         record = copy.deepcopy(self.record)
-        record.pop("no_report", None)
-        notes = record.pop(EXTRA, {}).get("notes", ())
-        known = [Note(text) if text in notes else text for text in record.get("warnings", ())]
-        record["warnings"] = known if warnings is None else [*warnings, *self.warnings]
+        for key in ("no_report", EXTRA):
+            record.pop(key, None)
+        record["warnings"] = list(record.get("warnings", ())) if warnings is None else [*warnings, *self.warnings]
         return record | {"status": "ok", "loop": "", "timings": {}, "criteria": []}
 
     @property
@@ -115,7 +113,7 @@ class StoppedRun:
             solver_steps: Component → longest step of its solver [s].
 
         Raises:
-            InputError: The end is not later than the run so far, or between two communication points.
+            InputError: The end is not later than the run so far.
         """
         start = self.record["scenario"].get("start_time", 0.0)
         overrides = [] if until is None else [f"duration={until - start!r}"]
@@ -124,17 +122,7 @@ class StoppedRun:
             raise InputError.at(
                 self.folder, f"--until {until:g} s is not after t = {self._reached:g} s, which the run has reached"
             )
-        file = ScenarioFile(self.source, overrides, option="--until")
-        step = file.scenario.step
-        if until is not None and file.faults and (until - start) % step > 1e-9 * step:
-            count = math.floor((until - start) / step)
-            ends = [end for end in (start + count * step, start + (count + 1) * step) if end > self._reached]
-            text = " or ".join(f"{end:.12g} s" for end in ends)
-            raise InputError.at(
-                self.folder,
-                f"--until {until:.12g} s is between two communication points, {step:g} s apart; give {text}",
-            )
-        return file
+        return ScenarioFile(self.source, overrides, option="--until")
 
     @property
     def end(self) -> int:
@@ -226,7 +214,7 @@ def open_stopped(path: Path, stack: ExitStack) -> StoppedRun:
     if source is None or (source.name == MANIFEST and "scenario" not in record):
         raise InputError.at(folder, NOTHING_TO_RESUME)
     sound, _ = sound_part(folder / MANIFEST, record)
-    wrong = [key for key in record if key not in sound or (key == EXTRA and fault_of(record[key], EXTRA_KIND, key))]
+    wrong = [key for key in record if key not in sound or (key == EXTRA and not has_type(record[key], EXTRA_KIND))]
     if wrong or "scenario" not in sound:
         raise InputError.at(source, DAMAGED_CHECKPOINT.format(reason=f"it has no {[*wrong, 'scenario'][0]}"))
     if (version := record.get("cosim_version")) != __version__:
@@ -235,7 +223,7 @@ def open_stopped(path: Path, stack: ExitStack) -> StoppedRun:
     kept = folder / FOLDER
     _wait_for_worker(kept)
     remove_drafts(kept, (STATE, BESIDE, RUN))
-    lasted = record.get("timings", {}).get("simulate", 0.0)
+    lasted: Any = record.get("timings", {}).get("simulate", 0.0)
     checkpoint: dict[str, Any] = {}
     state = read_state(kept / STATE)
     if state is not None:
@@ -282,8 +270,7 @@ def write_run(folder: Path, record: Mapping[str, Any], rows_file: str, warnings:
     """
     kept = folder / FOLDER
     kept.mkdir(exist_ok=True)
-    notes = [warning for warning in record["warnings"] if isinstance(warning, Note)]
-    write_json(kept / RUN, {**record, EXTRA: {"rows": rows_file, "warnings": list(warnings), "notes": notes}})
+    write_json(kept / RUN, {**record, EXTRA: {"rows": rows_file, "warnings": list(warnings)}})
     sync(kept / RUN)
     sync(kept)
     return kept

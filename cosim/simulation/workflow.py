@@ -6,7 +6,7 @@ import copy
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, replace
 from json import dumps
 from pathlib import Path
@@ -33,21 +33,19 @@ from cosim.files.folders import (
     NUMBERED,
     STARTED,
     content_of,
-    describe_run,
-    new_run,
     remove_earlier,
     results_in,
 )
 from cosim.files.kinds import check_form, shell_path
-from cosim.files.results import rows_in, rows_name
+from cosim.files.results import Results, rows_in, rows_name
 from cosim.files.state_file import write_durable
 from cosim.isolation.limits import Limits
 from cosim.isolation.process import Worker
 from cosim.master.beforehand import with_feedthrough, without_ended_states
 from cosim.master.checkpoint import STATE, Continuation, Keeping
 from cosim.master.observer import Change, InputFunctions, NamedFunctions, Observers, ProgressObserver, with_changes
-from cosim.master.remote import MODULES, SteppedRun, simulate_in
-from cosim.scenario.scenario_file import ScenarioFile, from_here, sha256, take_nearest
+from cosim.master.remote import MODULES, simulate_in
+from cosim.scenario.scenario_file import ScenarioFile, from_here, sha256
 from cosim.simulation.criteria import evaluate
 from cosim.simulation.manifest import add_changes, check_pinned, manifest, software_versions
 from cosim.simulation.packaged import is_ssp, lay_out
@@ -63,7 +61,6 @@ from cosim.simulation.stopped_run import (
 from cosim.system.system import System, build_system
 
 VERB = "cosim run"
-MANY_ROWS = 1_000_000  # rows of CSV, beyond which a note offers Parquet
 COMPILED = "compile"  # key of a manifest: sources of FMUs may be compiled when the run goes on
 
 
@@ -87,12 +84,6 @@ class _Prepared:
     start: Continuation | None = None
     changes: Sequence[Change] = ()
 
-    @property
-    def rows(self) -> int:
-        """Return the number of rows of a complete run."""
-        count, part = self.file.scenario.steps + 1, self.system.recording
-        return count if part is None else len(part.rows(count))
-
 
 @one_stop()
 def run(
@@ -102,7 +93,6 @@ def run(
     *,
     seed: Seed | None = None,
     pace: float | None = None,
-    nearest: bool = False,
     report: bool = True,
     figures: bool = False,
     force: bool = False,
@@ -127,7 +117,6 @@ def run(
         set: Path → value, for example {"noise": False, "components.plant.start.mass": 2}, or texts "path=value".
         seed: Seed for all random numbers (default: the seed of the scenario).
         pace (NUMBER): Simulated seconds per second: 1 for real time (default: that of the scenario).
-        nearest: Use nearest.yaml instead of model.yaml of every refine folder that the scenario names.
         report: Write report.html.
         figures: Write figures/*.png.
         force: Write even if the folder is not empty; results in it are replaced.
@@ -150,19 +139,14 @@ def run(
         SimulationError: The simulation failed; the rows so far are in `out`.
     """
     goes_on = (resume or until is not None) and not isinstance(scenario, Mapping)
-    if goes_on:
-        is_given = {"out": out not in {None, NUMBERED}, "set": bool(set), "seed": seed is not None}
-        is_given |= {"pace": pace is not None, "nearest": nearest, "format": format != "csv"}
-        for name in (name for name, given in is_given.items() if given):
-            raise InputError.at(
-                Path(str(scenario)),
-                f"a run goes on as it began, so --resume and --until take no --{name}; leave it out",
-            )
+    is_given = [set, seed is not None, pace is not None, format != "csv", out not in {None, NUMBERED}]
+    if goes_on and any(is_given):
+        text = "a run goes on as it began, so --resume and --until take no --out, --set, --seed, --pace and --format"
+        raise InputError.at(Path(str(scenario)), f"{text}; leave them out")
     observers = [*observers, *([] if progress is None else [ProgressObserver(progress)])]
     begin, overrides = time.perf_counter(), overrides_of(set, seed, pace)
     with ExitStack() as stack:
         stack.enter_context(compiling(compile or permission.get()))
-        folder = None if goes_on else stack.enter_context(results_in(out, VERB, force=force))
         path = stack.enter_context(_scenario_file(scenario))
         if not goes_on and not is_ssp(path):
             check_form(path, artefact.SCENARIO, artefact.MANIFEST)  # before the worker is started
@@ -177,11 +161,9 @@ def run(
             if not is_package:
                 file = ScenarioFile(path, overrides)
             name = path.stem if is_package else file.scenario.name
-            place = stack.enter_context(new_run(folder, name, VERB, force=force))
+            place = stack.enter_context(results_in(out, VERB, name, force=force))
             if is_package:
                 file, warnings = lay_out(path, place, overrides)
-            if nearest:
-                take_nearest(file)
             check_pinned(file)
             system, rows_file = build_system(file), rows_name("results", format)
             if not is_package:
@@ -196,15 +178,11 @@ def run(
             if permission.get():
                 record[COMPILED] = True
             prepared = _Prepared(file, place, system, rows_file, record, warnings)
-            if prepared.rows > MANY_ROWS and rows_file.endswith(".csv"):
-                cure = "--format parquet writes, reads and stores so many much faster than CSV"
-                tell(Note(f"the run has {prepared.rows} rows; {cure}"))
         if inputs:
             functions = InputFunctions(inputs)
             functions.check(prepared.system)
             observers.append(functions)
         place, start, scenario_, system = prepared.place, prepared.start, prepared.file.scenario, prepared.system
-        describe_run(place, prepared.record)  # so that an interrupted run can be repeated
         loaded = time.perf_counter()
         keeping = Keeping(start=start)
         if scenario_.checkpoint is not None and worker is None:
@@ -214,12 +192,6 @@ def run(
                 remove_checkpoints(place)
             kept = write_run(place, prepared.record, prepared.rows_file, prepared.warnings)
             keeping = Keeping(kept, scenario_.checkpoint, start)
-            again = system.fmus if system.reruns else {}
-            components = [stage.component for stage in system.stages]
-            names = [c.name for c in components if c.name in again or not getattr(c, "saves", False)]
-            if start is None and names:
-                cure = "a resumed run makes all steps again from the start, which takes as long as they took"
-                tell(Note(f"no checkpoint has the state of {', '.join(names)}: {cure}"))
         stepped = simulate_in(
             worker,
             system,
@@ -233,50 +205,48 @@ def run(
             recording=system.recording,
         )
         stepping = time.perf_counter() - loaded
-        words = system.texts & {*stepped.results.exact}
-        stepped = replace(stepped, results=replace(stepped.results, words=words))
-        is_longer = start is None or len(stepped.results.time) > start.count
-        if stepped.failure is not None and not is_longer and rows_in(place) is not None:
-            stepped.failure.left = place
-            raise stepped.failure  # What is there stays.
+        results, failure = stepped.results, stepped.failure
+        results = replace(results, words=system.texts & {*results.exact})
+        is_longer = start is None or len(results.time) > start.count
+        if failure is not None and not is_longer and rows_in(place) is not None:
+            failure.left = place
+            raise failure  # What is there stays.
         record = copy.deepcopy(prepared.record)
-        record["loop"] = stepped.results.loop
+        record["loop"] = results.loop
         simulated = scenario_.duration if start is None else (scenario_.steps + 1 - start.count) * scenario_.step
         speed = simulated / stepping
         record["timings"] = {"load": loaded - begin, "simulate": stepping, "real_time_factor": speed, **stepped.times}
         add_changes(record, scenario_, [*prepared.changes, *stepped.changes])
-        record |= stepped.results.details
-        if validity := validities((stage.component for stage in system.stages), stepped.results):
+        record |= results.details
+        if validity := validities((stage.component for stage in system.stages), results):
             record["validity"] = validity
             record["warnings"] += validity_warnings(validity)
-        if stepped.failure is None:
-            record["criteria"] = evaluate(scenario_, stepped.results, validity)
-            steps = stepped.results.details.get("steps", {})
+        if failure is None:
+            record["criteria"] = evaluate(scenario_, results, validity)
+            steps = results.details.get("steps", {})
             if missed := steps.get("missed"):  # the shortest of controlled steps have a larger error
                 limits = {"value": missed["error"], "max": steps["tolerance"], "unit": ""}
                 record["criteria"].append({"kind": "step_error", "of": missed["signal"], **limits, "met": False})
         else:
-            record["status"] = f"failed: {stepped.failure}"
-        record["warnings"] += [*stepped.results.notes, *stepped.log]
-        if stepped.results.event_counts:
-            record["event_counts"] = stepped.results.event_counts
-            record["first_events"] = [list(event) for event in stepped.results.events]
+            record["status"] = f"failed: {failure}"
+        record["warnings"] += [*results.notes, *stepped.log]
+        if results.event_counts:
+            record["event_counts"] = results.event_counts
+            record["first_events"] = [list(event) for event in results.events]
         if (part := system.recording) is not None:
-            results = stepped.results
             rows = part.rows(len(results.time))
             exact = {name: [column[k] for k in rows] for name, column in results.exact.items()}
             results = replace(results, time=results.time[rows], values=results.values[rows], exact=exact)
-            stepped = replace(stepped, results=results)
         if worker is None and scenario_.limits is not None:
             record["warnings"].append("limits are not watched where FMUs run in this process")
-        is_kept = keeping.folder is not None
         is_written = goes_on or out is not None
         pages = {"report": report and is_written, "figures": figures and is_written}
-        failure = _write_files(prepared, stepped, record, pages, is_kept=is_kept)
+        state = None if failure is None else stepped.state
+        failure = _write_files(prepared, results, failure, state, record, pages, is_kept=keeping.folder is not None)
     if failure is not None:
         failure.left = place
         raise failure
-    return run_of(stepped.results, record, place if is_written else None)
+    return run_of(results, record, place if is_written else None)
 
 
 def overrides_of(settings: Given | None, seed: int | None, pace: float | None) -> list[str]:
@@ -364,23 +334,27 @@ def _prepare_stopped(
 
 def _write_files(
     prepared: _Prepared,
-    stepped: SteppedRun,
+    results: Results,
+    failure: SimulationError | None,
+    state: bytes | None,
     record: dict[str, Any],
     pages: Mapping[str, bool],
     *,
     is_kept: bool,
 ) -> SimulationError | None:
-    """Write all files of a run, or as many as fit on a full disk.
+    """Write all files of a run, without the rows if the disk is full.
 
     Args:
+        failure: Failure of the run.
+        state: Last state of a failed run, if any.
         record: Manifest.
         is_kept: Whether the folder has checkpoints of the run.
 
     Returns:
         The failure of the run or of the disk, if any.
     """
-    rows, results, failure = prepared.place / prepared.rows_file, stepped.results, stepped.failure
-    record["rows"], has_rows = len(results.time), False
+    rows, has_rows = prepared.place / prepared.rows_file, False
+    record["rows"] = len(results.time)
     hold_stops()  # also where no worker made the steps
     try:
         results.write(rows)
@@ -389,9 +363,9 @@ def _write_files(
         write_json(rows.with_name(MANIFEST), record)
         is_part = prepared.system.recording is not None
         end_keeping(rows.parent, is_kept=is_kept, keeps_rows=is_part)
-        if stepped.state is not None and failure is not None and not is_part:
+        if state is not None and not is_part:
             kept = write_run(rows.parent, prepared.record, rows.name, prepared.warnings)
-            write_durable(kept / STATE, stepped.state)
+            write_durable(kept / STATE, state)
         release_stops()
         if any(pages.values()):
             from cosim.simulation.report import write_pages
@@ -400,26 +374,16 @@ def _write_files(
     except OSError as error:
         if not is_full(error):
             raise
-        # The manifest and the rows that fit are written.
-        time, count = results.time, len(results.time)
         rows.with_name("report.html").unlink(missing_ok=True)
         record["status"] = f"failed: {failure or 'the disk is full'}"
         if not has_rows:
-            del record["rows"]  # unknown until the manifest is written, which then has room
-        try:
+            del record["rows"]
+        with suppress(OSError):
             write_json(rows.with_name(MANIFEST), record)
-        except OSError:
-            (rows.parent / STARTED).replace(rows.with_name(MANIFEST))  # takes no room
-        if not has_rows:
-            try:
-                count = results.write_what_fits(rows)
-            except OSError:
-                count = 0
-        total = prepared.rows if isinstance(failure, DiskFull) else len(time)
-        missing = ", there is no report" if count == total else ""
+        at = results.time[-1].item() if len(results.time) else 0.0
         before = "" if failure is None or isinstance(failure, DiskFull) else f"; before that {failure}"
-        at = time[max(0, count - 1)].item() if len(time) else 0.0
-        return DiskFull("the run", at, f"the disk is full: {count} of {total} rows are in {rows.name}{missing}{before}")
+        reason = f"the disk is full: {len(results.time) if has_rows else 0} rows are in {rows.name}{before}"
+        return DiskFull("the run", at, reason)
     except (KeyboardInterrupt, Terminated) as stop:  # All files but the report are written.
         hold_stops()
         if failure is not None:

@@ -1,8 +1,7 @@
-"""Reading of an SSD (system structure description): nested systems become FMUs, start values and connections.
+"""Reading of SSP archives, or an SSD in a folder: nested systems become FMUs, start values and connections.
 
-A component or nested system has a place: the names of the enclosing systems and its own name. An end of a
-connection
-is a place and the name of a connector there.
+Every XML element has its line and column. A component or nested system has a place: the names of the enclosing systems
+and its own name. An end of a connection is a place and the name of a connector there.
 """
 
 from __future__ import annotations
@@ -11,18 +10,167 @@ import math
 import re
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from itertools import chain
 from pathlib import Path
 from typing import Any, TypeVar
+from urllib.parse import unquote, urlsplit
+from xml.parsers import expat
 
 from cosim.blocks.component import Signal
 from cosim.core.errors import Fault, FmuError, InputError, refuse
+from cosim.core.messages import with_prefix
+from cosim.core.scratch import temporary_folder
 from cosim.core.text import did_you_mean, unique_name
 from cosim.core.units import SI
+from cosim.files.archive import MOST_XML, SSP, STRUCTURE, BadArchive, check_xml, unpack
+from cosim.files.artefact import SSP as SSP_FILE
+from cosim.files.kinds import check_form
 from cosim.files.yaml_file import MOST_FAULTS, format_value
 from cosim.fmi.description import is_difference, read_description, unit_definition, unit_of
-from cosim.ssp.package import Element, Package
+
+NAMESPACES = {
+    "http://ssp-standard.org/SSP1/SystemStructureDescription": "ssd",
+    "http://ssp-standard.org/SSP1/SystemStructureCommon": "ssc",
+    "http://ssp-standard.org/SSP1/SystemStructureParameterValues": "ssv",
+    "http://ssp-standard.org/SSP1/SystemStructureParameterMapping": "ssm",
+    "http://ssp-standard.org/SSP1/SystemStructureSignalDictionary": "ssb",
+}
+
+
+@dataclass
+class Element:
+    """An XML element.
+
+    In its `tag`, the namespace has the prefix used by the SSP standard, whatever prefix the file uses.
+    """
+
+    file: Path
+    tag: str
+    attributes: dict[str, str]
+    line: int
+    column: int
+    children: list[Element] = field(default_factory=list)
+
+    def all(self, *tags: str) -> Iterator[Element]:
+        """Yield all elements at a path of tags; outer tags match their first element only."""
+        parent = self.first(*tags[:-1])
+        return (child for child in (parent.children if parent else ()) if child.tag == tags[-1])
+
+    def first(self, *tags: str) -> Element | None:
+        """Return the first element at a path of tags, if any."""
+        return next(self.all(*tags), None) if tags else self
+
+    def descendants(self) -> Iterator[Element]:
+        """Yield all nested elements at any depth."""
+        for child in self.children:
+            yield child
+            yield from child.descendants()
+
+    def get(self, name: str) -> str | None:
+        """Return an attribute, if present."""
+        return self.attributes.get(name)
+
+    def fault(self, message: str) -> Fault:
+        """Return a fault at the place of this element."""
+        name = self.get("name")
+        label = f'{self.tag} "{name[:60]}"' if name else self.tag
+        return Fault(self.file, self.line, self.column, with_prefix(f"{label}: ", message))
+
+
+@dataclass(frozen=True)
+class Package:
+    """Files of a package.
+
+    Attributes:
+        shown: File named by the user.
+        folder: Base folder of relative names; with `packed`, names must stay inside.
+    """
+
+    shown: Path
+    folder: Path
+    structure: Path
+    packed: bool
+
+    def resolve(self, source: str) -> Path | str:
+        """Return the file of a relative URI in the SSP, or a message on a URI that is not allowed."""
+        name, cure = source[:80], "put the file into resources/ and use that path"
+        try:
+            uri = urlsplit(source)
+            within = self.folder.resolve()
+            path = (within / unquote(uri.path)).resolve()
+            if uri.scheme not in {"", "file"} or uri.netloc:
+                return f'"{name}" is not in the package; {cure}'
+            if self.packed and not path.is_relative_to(within):
+                return f'"{name}" is outside the package; {cure}'
+            return path if path.is_file() else f'no file "{name}" in it'
+        except (OSError, ValueError):  # an impossible file name
+            return f'"{name}" is not a file name'
+
+    def element(self, path: Path) -> Element:
+        """Return the root element of a file; raise InputError."""
+        label = path
+        if self.packed:
+            label = self.shown if path == self.structure else self.shown / path.relative_to(self.folder)
+        try:
+            return _parse(label, path.read_bytes())
+        except BadArchive as error:
+            raise InputError.at(label, str(error)) from None
+        except OSError as error:
+            raise InputError.at(label, f"cannot be read: {error.strerror}") from None
+
+
+@contextmanager
+def open_package(path: Path) -> Iterator[Package]:
+    """Yield an unpacked package; raise InputError if it is invalid or unsafe."""
+    check_form(path, SSP_FILE)
+    if path.suffix.lower() == ".ssd":
+        yield Package(path, path.parent, path, packed=False)
+        return
+    with temporary_folder("ssp") as scratch:
+        folder = scratch.resolve()
+        try:
+            unpack(path, folder, SSP)
+        except BadArchive as error:
+            raise InputError.at(path, f"is not an SSP: {error}") from None
+        except OSError as error:
+            raise InputError.at(path, f"cannot be unpacked: {error.strerror}") from None
+        yield Package(path, folder, folder / STRUCTURE, packed=True)
+
+
+def _parse(file: Path, text: bytes) -> Element:
+    """Return the root of a document; raise BadArchive if invalid or unsafe."""
+    if len(text) > MOST_XML:
+        raise BadArchive(f"it exceeds the limit of {MOST_XML / 1e6:.0f} MB; split it")
+    check_xml(file.name, text, "SSP")
+    prefixes: list[dict[str, str]] = [{}]
+    document = Element(file, "", {}, 0, 0)
+    ancestors = [document]
+
+    def start(name: str, attributes: dict[str, str]) -> None:
+        own = {key.removeprefix("xmlns").removeprefix(":"): v for key, v in attributes.items() if key[:5] == "xmlns"}
+        prefixes.append({**prefixes[-1], **own})
+        prefix, _, local = name.rpartition(":")
+        uri = prefixes[-1].get(prefix)
+        # an undeclared prefix is assumed to be the standard's
+        prefix = prefix if uri is None else NAMESPACES.get(uri, prefix or "?")
+        place = parser.CurrentLineNumber, parser.CurrentColumnNumber + 1
+        element = Element(file, f"{prefix}:{local}", attributes, *place)
+        ancestors[-1].children.append(element)
+        ancestors.append(element)
+
+    def end(_: Any) -> None:
+        ancestors.pop()
+        prefixes.pop()
+
+    parser = expat.ParserCreate()
+    parser.StartElementHandler, parser.EndElementHandler = start, end
+    parser.Parse(text, True)
+    return document.children[0]
+
+
+# -- content -------------------------------------------------------------------------------------------
 
 Place = tuple[str, ...]
 End = tuple[Place, str]
@@ -42,7 +190,7 @@ OTHER_TRANSFORMATIONS = (
     "ssc:IntegerMappingTransformation",
     "ssc:EnumerationMappingTransformation",
 )
-SIGNAL_DICTIONARY = "signal dictionaries are not supported; connect outputs to inputs"
+NO_NAME = "it has no name; add one"
 REALS = ("Real", "Float64", "Float32")
 WHOLE = ("Integer", *(f"{sign}Int{bits}" for sign in ("", "U") for bits in (8, 16, 32, 64)))
 BOOLEANS = {"true": True, "1": True, "false": False, "0": False}
@@ -102,20 +250,6 @@ class FmuPart:
     description: Any
     variables: dict[str, Any]
     start: dict[str, tuple[Any, Element]] = field(default_factory=dict)
-
-
-@dataclass(frozen=True)
-class SignalLink:
-    """A connection between an output and an input, each `name.variable`.
-
-    Attributes:
-        linear: Conversion of the value; None if only units are converted.
-    """
-
-    source: str
-    target: str
-    linear: LinearTransformation | None
-    element: Element
 
 
 class Reader:
@@ -180,12 +314,10 @@ class Reader:
     def value(self, typed: Element) -> Any:
         """Return a typed value; None for a faulty value, after recording the fault."""
         kind, text = typed.tag.partition(":")[2], typed.get("value")
-        if text is None and (entries := list(typed.all("ssv:Item")) or list(typed.all("ssv:Value"))):
-            self.note(typed, f"{len(entries)} values; arrays are not supported, bind their elements by name")
-        elif kind not in TYPES:
+        if kind not in TYPES:
             self.note(typed, f"is not a type of a value{did_you_mean(kind, TYPES[:-1])}")
         elif text is None:
-            self.note(typed, "it has no value; add it")
+            self.note(typed, "it has no value; add it. Arrays are not supported, bind their elements by name")
         elif kind in (*REALS, *WHOLE):
             number = self.number(typed, "value", None)
             if number is None or kind in REALS:
@@ -193,12 +325,10 @@ class Reader:
             if number == int(number):
                 return int(text) if text.strip().lstrip("+-").isdigit() else int(number)
             self.note(typed, f"value {format_value(text)}: use a whole number")
-        elif kind != "Boolean":
-            return text
-        elif text in BOOLEANS:
-            return BOOLEANS[text]
-        else:
+        elif kind == "Boolean" and text not in BOOLEANS:
             self.note(typed, f"value {format_value(text)}: use true or false")
+        else:
+            return BOOLEANS[text] if kind == "Boolean" else text
         return None
 
     def values(self, holder: Element, prefix: str = "") -> list[Parameter]:
@@ -208,7 +338,7 @@ class Reader:
             name = each.get("name")
             typed = next((c for c in each.children if c.tag.startswith("ssv:")), None)
             if not name or typed is None:
-                self.note(each, "it has no value; add one such as ssv:Real" if name else "it has no name; add one")
+                self.note(each, "it has no value; add one such as ssv:Real" if name else NO_NAME)
             elif (value := self.value(typed)) is not None:
                 values.append(Parameter(prefix + name, value, typed.get("unit"), units, each))
         return values
@@ -287,24 +417,20 @@ class SspSystem(Reader):
     def read_system(self, element: Element, place: Place) -> None:
         """Read connectors and elements of a system."""
         self.systems[place], names = element, self.inner[place]
+        readers = {"ssd:Component": self.read_component, "ssd:System": self.read_system}
         self.read_connectors(element, place)
         listed = element.first("ssd:Elements")
-        for child in listed.children if listed else ():
-            name = child.get("name")
-            if child.tag == "ssd:SignalDictionaryReference":
-                self.note(child, SIGNAL_DICTIONARY)
-            elif child.tag not in {"ssd:Component", "ssd:System", "ssd:Annotations"}:
-                self.note(child, "is not allowed in a system; allowed: ssd:Component and ssd:System")
-            elif child.tag != "ssd:Annotations" and not name:
-                self.note(child, "it has no name; add one")
-            elif name in names:
-                self.note(child, "another element has this name; rename one of them")
-            elif name and child.tag != "ssd:Annotations":
+        dictionaries = element.first("ssd:SignalDictionaries")
+        children = [child for child in listed.children if child.tag != "ssd:Annotations"] if listed else []
+        for child in (*children, *(dictionaries.children if dictionaries else ())):
+            name, read = child.get("name"), readers.get(child.tag)
+            if read is None:
+                self.note(child, "is not supported in a system; supported: ssd:Component and ssd:System")
+            elif not name or name in names:
+                self.note(child, "another element has this name; rename one of them" if name else NO_NAME)
+            else:
                 names.append(name)
-                read = self.read_system if child.tag == "ssd:System" else self.read_component
                 read(child, (*place, name))
-        if (dictionaries := element.first("ssd:SignalDictionaries")) is not None and dictionaries.children:
-            self.note(dictionaries, SIGNAL_DICTIONARY)
         self.bindings.append((place, element))
 
     def read_component(self, element: Element, place: Place) -> None:
@@ -316,11 +442,7 @@ class SspSystem(Reader):
             names = ", ".join(INTERFACES)
             self.note(element, f"implementation {format_value(interface)} is not supported; supported: {names}")
         if (kind or FMU) != FMU:
-            self.note(
-                element,
-                f"type {format_value(kind)} is not supported; use {FMU} for components, and nested systems in "
-                "this file",
-            )
+            self.note(element, f"type {format_value(kind)} is not supported; use {FMU}, or nested systems in this file")
             return
         fmu = self.package.resolve(source) if source else "it has no source; name its FMU"
         if isinstance(fmu, str):
@@ -346,7 +468,7 @@ class SspSystem(Reader):
         """Read the connectors of a system or component."""
         for each in element.all("ssd:Connectors", "ssd:Connector"):
             if not (name := each.get("name")):
-                self.note(each, "it has no name; add one")
+                self.note(each, NO_NAME)
                 continue
             if (place, name) in self.connectors:
                 self.note(each, "another connector has this name; keep one of them")
@@ -390,8 +512,8 @@ class SspSystem(Reader):
             return None
         return (connector.kind in SENDERS) != (end[0] == within)
 
-    def read_links(self) -> Iterator[SignalLink]:
-        """Yield the connections from an FMU output to an FMU input."""
+    def read_links(self) -> Iterator[tuple[str, str, LinearTransformation | None, Element]]:
+        """Yield each connection from an FMU output to an FMU input, with its conversion if not only of units."""
         for end, hops in self.chains.items():
             first, element = hops[0].start, hops[-1].element
             if end not in self.connectors or not {first[0], end[0]} <= self.parts.keys():
@@ -402,7 +524,7 @@ class SspSystem(Reader):
             is_plain = is_plain and all(hop.linear == LinearTransformation() for hop in hops)
             linear = None if factors is None or is_plain else LinearTransformation(*factors)
             source, target = (f"{self.parts[place].name}.{name}" for place, name in (first, end))
-            yield SignalLink(source, target, linear, element)
+            yield source, target, linear, element
 
     def hops_to(self, last: Connection) -> list[Connection]:
         """Return the chain of connections that ends with `last`, from an FMU or an unconnected system connector."""
@@ -454,13 +576,11 @@ class SspSystem(Reader):
                 targets = list(self.targets(place, parameter.name))
                 for end, hops in targets:
                     self.set_start(end, parameter, hops)
-                name = format_value(parameter.name)
-                if not targets and place in self.systems and (place, parameter.name) in self.connectors:
-                    self.warn(parameter.element, f"parameter {name} reaches no FMU and is ignored")
-                elif not targets:
+                if not targets:
                     own = () if place in self.parts else (n for at, n in self.connectors if at == place)
                     hint = did_you_mean(parameter.name, chain(own, self.names(place)))
-                    self.warn(parameter.element, f"parameter {name} matches no variable and is ignored{hint}")
+                    name = format_value(parameter.name)
+                    self.warn(parameter.element, f"parameter {name} reaches no variable and is ignored{hint}")
 
     def targets(self, place: Place, name: str) -> Iterator[tuple[End, Sequence[Connection]]]:
         """Yield the FMU variables of a hierarchical name, with the connections from a system's connector to them."""

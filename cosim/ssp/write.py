@@ -20,8 +20,7 @@ from cosim.core.units import SI, definition_of
 from cosim.core.version import __version__
 from cosim.files.archive import STRUCTURE
 from cosim.fmi.description import unit_definition
-from cosim.ssp.package import NAMESPACES
-from cosim.ssp.read import FMU, Units
+from cosim.ssp.read import FMU, NAMESPACES, Units
 
 EPOCH = (1980, 1, 1, 0, 0, 0)
 START, RESOURCES = "start", "resources"

@@ -35,6 +35,6 @@ ARTEFACTS = (
     Artefact(
         "a database",
         "`cosim sweep SWEEP.yaml --resume` continues one that it left, named with its --out",
-        heads=(b"SQLite format 3\0",),
+        endings=(".sqlite",),
     ),
 )

@@ -229,7 +229,7 @@ class Runs:
 
     def plot(self) -> Figure:
         """Return a matplotlib figure with a histogram of each criterion, and its limit."""
-        from cosim.report.figure import new_figure
+        from cosim.report.cell.cell import new_figure
 
         criteria, outcomes = self.record["criteria"], self.criteria
         figure = new_figure(5.6, 2.4 * max(1, len(criteria)))

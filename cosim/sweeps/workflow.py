@@ -124,7 +124,7 @@ def sweep(
     check_installed("SALib", "cosim sweep")  # imported for the report only
     goes_on = resume or join or part is not None
     with ExitStack() as stack:
-        home = stack.enter_context(new_run(home, study.name, "cosim sweep", force=force, goes_on=goes_on))
+        home = stack.enter_context(new_run(home, study.name, "cosim sweep", force=force or goes_on))
         check_writable(home, (TABLE, RECORD, REPORT, DATABASE), inputs)
         folder = home if part is None or folder is None else folder
         stored = [*folder.glob(DATABASE), *sorted(folder.glob(f"{PARTS}/*/{DATABASE}"))]

@@ -25,7 +25,7 @@ from cosim.core.text import DisplayUnits, did_you_mean
 from cosim.core.units import alternatives, conversion
 from cosim.credibility.record import Found, read_credibility
 from cosim.fmi.description import display_units
-from cosim.fmi.sampled import sampled_by
+from cosim.fmi.model_description import sampled_by
 from cosim.scenario.scenario import LoopSettings
 from cosim.scenario.scenario_file import Place, ScenarioFile
 from cosim.system.components import build_components
@@ -48,7 +48,6 @@ class System(Schedule):
         beside: Columns stored outside the row of doubles, for values without exact double.
         events: Communication point → component → values to set.
         apart: Names of components with their own process.
-        halved: True if rows contain differences due to halving each step, instead of signals.
         control: Control of the communication steps, None for equal steps.
         courses: Polynomial degrees of extrapolated and of interpolated inputs during a step.
         solving: Settings for algebraic loops, None for the default.
@@ -67,7 +66,6 @@ class System(Schedule):
     signals: Mapping[str, Signal] = field(default_factory=dict)
     events: Events = field(default_factory=dict)
     apart: frozenset[str] = frozenset()
-    halved: bool = False
     control: Control | None = None
     courses: tuple[int, int] = (0, 0)
     solving: LoopSettings | None = None

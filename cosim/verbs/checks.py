@@ -13,22 +13,10 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from cosim.core.drafts import is_full
-from cosim.core.errors import (
-    Crashed,
-    Fault,
-    FmuError,
-    InputError,
-    Interrupted,
-    NotExecuted,
-    Signalled,
-    Terminated,
-    refuse,
-)
+from cosim.core.errors import Crashed, Fault, InputError, NotExecuted, refuse
 from cosim.core.messages import with_prefix
-from cosim.core.program import STOPPED
 from cosim.core.registry import resolve
-from cosim.core.settings import Files, Given, ModelName
+from cosim.core.settings import Files, Given, ModelName, column_names
 from cosim.core.text import some
 from cosim.files.artefact import Checking, artefacts, kind_by_keys, of_kind
 from cosim.files.files import FilePath
@@ -39,8 +27,6 @@ if TYPE_CHECKING:
     from pydantic import BaseModel
 
     from cosim.blocks.summary import Summary, Variable
-    from cosim.probing.fmu_structure import Port
-    from cosim.probing.places import Places
     from cosim.simulation.report.system_diagram import Graph
 
 
@@ -49,13 +35,11 @@ CHECKED_KINDS = "a scenario, study, sweep, protocol, model, log, SSP or FMU"
 MOST_LINES = 200  # number of lines printed without --json
 SECTIONS = {"inputs": ("input",), "outputs": ("output",), "parameters": ("parameter", "structuralParameter")}
 EXPERIMENT_UNITS = {"start": " s", "stop": " s", "step": " s", "tolerance": ""}  # of a default experiment
+PLACES = ("pairs", "connections", "dampings", "storages", "sensors", "inputs", "parameters")
 MAX_NAMES = 8  # states, and items of an enumeration
 MAX_PARAMETERS = 60  # parameters in the table; --all shows every one
-DIAGRAM_HEAD = 4096  # characters that contain the subject of a diagram
+DIAGRAM_HEAD = 4096  # characters of a file that show whether it is a diagram
 MERMAID = "flowchart LR\n  n1["
-DIAGRAM = re.compile(
-    r'\A<svg [^>]*class="diagram"[^>]* aria-label="\d+ components? of (.*?) in the order in which they step'
-)
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
 RESULT_SCHEMAS = {  # kind of result → class of its content
     "refine_result": "cosim.refinement.record:Record",
@@ -96,25 +80,20 @@ def check(
     from cosim.files.artefact import FMU
     from cosim.files.kinds import kind_by_form
     from cosim.isolation.process import Worker
+    from cosim.logs.log import read_column_names
     from cosim.master.remote import MODULES
 
     faults: list[Fault] = []
     lines: list[str] = []
     paths = [*map(Path, [files] if isinstance(files, (str, os.PathLike)) else files)]
     first = paths[0] if paths else Path("columns")
-    names: Mapping[str, str] = {}
-    if isinstance(columns, Mapping):
-        names = columns
-    elif columns:
-        from cosim.logs.log import read_column_names
-
-        names = read_column_names(columns, first)
+    names = read_column_names(column_names(columns), first)
     with compiling(compile):
         if permission.get() and not load:
             text = "needs to load FMUs, but --no-load (in Python load=False) forbids it; remove one of them"
             raise InputError.at(Path("--compile"), text)
         with Worker(*MODULES) if load else nullcontext() as worker:
-            checking = Checking(model, dict(names), worker)
+            checking = Checking(model, names, worker)
             for path in paths:
                 try:
                     if signed_by is not None:
@@ -130,7 +109,7 @@ def check(
 
 def _check_isolated(path: Path, checking: Checking) -> list[str]:
     """Check a file; execute named Python in the worker, or not at all without a worker."""
-    from cosim.fmi.building.execution import without_execution
+    from cosim.fmi.building.file import without_execution
 
     worker = checking.worker
     with without_execution() as skipped:
@@ -182,17 +161,7 @@ def check_command(*, json: bool = False, **given: Any) -> None:
 
     Example: cosim check scenario.yaml build/*.fmu
     """
-    files = given["files"]
-    try:
-        lines = check(**given)
-    except (Signalled, Terminated) as error:
-        raise FmuError(error.reason if isinstance(error, Signalled) else str(error)) from None
-    except (Interrupted, KeyboardInterrupt):
-        raise typer.Exit(STOPPED) from None
-    except OSError as error:
-        if not is_full(error):
-            raise
-        raise FmuError("the disk is full, so FMUs cannot be loaded; use --no-load to check without loading") from None
+    files, lines = given["files"], check(**given)
     say(*lines[:MOST_LINES])
     if len(lines) > MOST_LINES:
         say(f"… and {len(lines) - MOST_LINES} more; --json lists all of them")
@@ -231,7 +200,7 @@ def info_command(
     if not places and (log or limits or compile):
         raise typer.BadParameter("--log, --limits and --compile need --places")
     descriptions = summaries(fmus)
-    probed: dict[Path, Places] = {}
+    probed: dict[Path, dict[str, Any]] = {}
     if places:
         from cosim.blocks.compiling import compiling
         from cosim.isolation.limits import read_limits
@@ -243,7 +212,7 @@ def info_command(
         for fmu in fmus:
             read = [log_of_fmu(Path(name), fmu, alone=len(logs) == 1) for name in logs]
             with compiling(compile):
-                probed[fmu] = probe_places(fmu, read, limits=most)
+                probed[fmu] = probe_places(fmu, read, limits=most).as_json()
     pages: dict[Path, Path] = {}
     if report:
         from cosim.credibility.page import write_page
@@ -252,7 +221,7 @@ def info_command(
     contents, blank = [], [""]
     for fmu, summary in zip(fmus, descriptions, strict=True):
         known, problem = read_credibility(fmu)
-        contents.append(summary.as_json() | ({"places": probed[fmu].as_json()} if places else {}))
+        contents.append(summary.as_json() | ({"places": probed[fmu]} if places else {}))
         contents[-1] |= {"credibility": known.model_dump(mode="json", exclude={"region": {"points"}})} if known else {}
         say(*(blank if len(contents) > 1 else []), *_overview(summary), *(known.lines() if known else []))
         warn(*([f"{fmu}: {problem}"] if problem else []))
@@ -262,40 +231,26 @@ def info_command(
         say_json(contents if len(contents) > 1 else contents[0])
 
 
-def _places(p: Places) -> list[str]:
+def _places(places: Mapping[str, Any]) -> list[str]:
     """Return the tables of places, and the findings."""
 
-    def forces(*ports: Port | None) -> str:
-        return ", ".join(f"{port.input} ({port.gain:.4g})" for port in ports if port)
+    def cell(value: Any) -> str:
+        if isinstance(value, dict):  # by its name
+            value = next(iter(value.values()))
+        if isinstance(value, (list, tuple)):
+            return ", ".join(map(cell, value))
+        return f"{value:.6g}" if isinstance(value, float) else str("" if value is None else value)
 
-    s = p.structure
-    header = ("  output", "unit", "start", "input (gain)") if s.feeds else ("  state", "unit", "start", "")
-    stored = [q for q in s.states or s.outputs if q.name in s.storages]
-    storages = [(f"  {q.name}", q.unit, f"{q.start:.6g}", forces(s.feeds.get(q.name))) for q in stored]
-    shows = {output: state for state, output in s.shown.items()}
-    parameters = []
-    for q in s.parameters:
-        acts = "yes" if q.acts else "only at the start" if q.starts else "no"
-        acts += ", and the FMU fails with a value near it" if q.failure else ""
-        parameters.append((f"  {q.name}", q.quantity.unit, f"{q.quantity.start:.6g}", acts))
-    pairs = [(f"  {r.position}", r.velocity, f"{r.gain:.6g}", forces(*r.ports) or "none") for r in s.pairs]
-    joined = [
-        (f"  {c.first.position}", c.second.position, f"{c.stiffness:.6g}", f"{c.damping:.6g}") for c in s.connections
-    ]
-    braked = [(f"  {d.parameter}", d.pair.velocity, f"{d.gain:.6g}", ", ".join(d.rates)) for d in s.dampings]
-    sections: list[tuple[str, tuple[str, ...], Sequence[Sequence[str]]]] = [
-        ("pairs", ("  position", "velocity", "gain", "forces (gain)"), pairs),
-        *([("connections", ("  position", "and", "spring", "damper"), joined)] if joined else []),
-        *([("dampings", ("  parameter", "velocity", "gain", "changes the derivatives of"), braked)] if braked else []),
-        ("storages", header, storages),
-        ("sensors", ("  output", "unit", "shows"), [(f"  {q.name}", q.unit, shows.get(q.name, "")) for q in s.outputs]),
-        ("inputs", ("  input", "unit", "start"), [(f"  {q.name}", q.unit, f"{q.start:.6g}") for q in s.inputs]),
-        ("parameters", ("  parameter", "unit", "start", "acts"), parameters),
-    ]
-    lines = [f"way: {s.way}: {p.reason}"]
-    for title, heads, rows in sections:
-        lines += [f"{title}: {len(rows)}", *table(heads, rows)] if rows else [f"{title}: none"]
-    return [*lines, f"findings: {len(p.findings) or 'none'}", *(f"  {finding}" for finding in p.findings)]
+    lines = [f"way: {places['way']}: {places['reason']}"]
+    for title in PLACES:
+        rows = [
+            [f"  {cell(value)}" if not k else cell(value) for k, value in enumerate(row.values())]
+            for row in places[title]
+        ]
+        heads = [f"{'' if k else '  '}{name}" for k, name in enumerate(places[title][0])] if rows else []
+        lines += [f"{title}: {len(rows) or 'none'}", *(table(heads, rows) if rows else [])]
+    findings = places["findings"]
+    return [*lines, f"findings: {len(findings) or 'none'}", *(f"  {finding}" for finding in findings)]
 
 
 def _overview(s: Summary) -> list[str]:
@@ -369,7 +324,7 @@ def graph_command(
         out (--out -o PATH): Picture: FILE.svg, or FILE.mmd for Mermaid (default: NAME.svg).
         mermaid: Print the picture as Mermaid text and write no file.
         set (PATH=VALUE): Replace a value of the scenario, for example noise=off.
-        force: Overwrite a file that is not a picture of this scenario.
+        force: Overwrite a file that is not a picture of a scenario.
 
     Example: cosim graph scenario.yaml
     """
@@ -387,13 +342,8 @@ def graph_command(
     if path.exists() and not force:
         with path.open(encoding="utf-8", errors="replace") as stream:
             head = stream.read(DIAGRAM_HEAD)
-        if path.suffix.lower() == ".mmd":
-            is_earlier = head.startswith(MERMAID)
-        else:
-            titles = [DIAGRAM.findall(text) for text in (head, graph.svg())]
-            is_earlier = titles[0] != [] and titles[0] == titles[1]
-        if not is_earlier:
-            reason = f"exists and is not a picture of {graph.name}; give another --out, or overwrite it with --force"
+        if not head.startswith(MERMAID) and 'class="diagram"' not in head:
+            reason = "exists and is not a picture of a scenario; give another --out, or overwrite it with --force"
             raise InputError.at(path, reason)
     write_text(path, graph.mermaid() if path.suffix.lower() == ".mmd" else graph.svg())
     say(f"graph: {path}")
@@ -556,9 +506,6 @@ def schema_of(name: str) -> dict[str, Any]:
     if name in RESULT_SCHEMAS:
         return {"$schema": DIALECT, **schema}
     title = next(a.title for a in artefacts() if a.schema_name == name)
-    limits = schema.get("$defs", {}).get("Limits", {}).get("properties", {})
-    for key, content in limits.items():  # 10 s, 2 GB
-        limits[key] = {"description": content.get("description", ""), "type": ["number", "string", "null"]}
     return {"$schema": DIALECT, **_allow_on_and_off(schema), "title": title}
 
 

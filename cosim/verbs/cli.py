@@ -24,7 +24,6 @@ import math
 import os
 import re
 import sys
-import time
 import warnings
 import webbrowser
 from collections.abc import Callable, Iterator, Sequence
@@ -147,9 +146,8 @@ def files_in(folder: Path, *names: str) -> dict[str, str]:
 
 @contextmanager
 def progress_bar(activity: str = "simulating") -> Iterator[Callable[[Any, float], None] | None]:
-    """Yield a function of (completed, all steps) or (stage, share) for progress: a bar, lines with -v, else None."""
-    is_terminal, start = sys.stderr.isatty(), time.monotonic()
-    if OUTPUT.quiet or not (is_terminal or OUTPUT.verbose):
+    """Yield a function of (completed, all steps) or (stage, share) that draws a bar on a terminal, else None."""
+    if OUTPUT.quiet or not sys.stderr.isatty():
         yield None
         return
     from rich.console import Console
@@ -163,8 +161,6 @@ def progress_bar(activity: str = "simulating") -> Iterator[Callable[[Any, float]
         def advance(first: Any, second: float) -> None:
             share = second if isinstance(first, str) else first / max(second, 1)
             text = printable(first if isinstance(first, str) else f"{activity}: {int(10 * share)}0 %", one_line=True)
-            if text != task.description and not is_terminal:
-                echo(f"{time.monotonic() - start:6.1f} s  {text}", err=True)
             task.total = 1.0 if 0.0 < share < 1.0 else None  # the bar never moves backwards
             bar.update(task.id, description=text, completed=share)
 

@@ -219,7 +219,7 @@ def refine_command(
     say(*table(("probability", "missing parts", "held-out error", "sealed error", "outcome"), rows[:MAX_CLASSES]))
     if OUTPUT.verbose and answer.details:
         say(answer.details)
-    say(f"next: {answer.command or answer.step}")
+    say(f"next: {answer.step} {answer.command}".rstrip())
     say(f"results: {place} ({', '.join(file for file in REFINE_FILES if (place / file).is_file())})")
     if json:
         answers = {key: record[key] for key in ("verdict", "sentence", "effects", "rivals", "error") if key in record}
@@ -247,9 +247,7 @@ def excite_command(*, open: bool = False, json: bool = False, **given: Any) -> N
     """
     from cosim.experiment.excite import excite
 
-    run = new_run(
-        given["folder"], f"{name_of(given['text'])}-excitation", "cosim excite", force=given["force"], goes_on=True
-    )
+    run = new_run(given["folder"], f"{name_of(given['text'])}-excitation", "cosim excite", force=given["force"])
     with run as place, progress_bar() as progress:
         choice = excite(**{**given, "folder": place}, progress=progress)
     say(choice.headline)

@@ -32,7 +32,6 @@ if TYPE_CHECKING:
 
 
 MAX_SIGNALS = 12  # number of signals on the terminal
-OTHER_RECORDS = {"refine.json": "refine", "fit.json": "fit", "replay.json": "replay", "comparison.json": "compare"}
 WIDEST = 60  # characters of an outcome, of values and of changes in a table
 SORTED: Mapping[str, Callable[[Any], Any]] = {  # key of --sort → order of entries
     "when": lambda e: e.time,
@@ -191,18 +190,11 @@ def report_command(folder: Path, *, figures: bool = False, open: bool = False, j
     path = newest_run(folder)
     if not path.is_dir():
         check_given(path, "the folder of a run")
-        raise InputError.at(path, "is a file; give the folder with the results of `cosim run`")
     if not (path / "manifest.json").is_file():
-        verb = next((v for name, v in OTHER_RECORDS.items() if (path / name).is_file()), None)
-        own = "has no manifest.json; give the folder with the results of `cosim run`"
-        other = f"has no manifest.json; it is a result of `cosim {verb}`, whose report cannot be written again"
-        raise InputError.at(path, other if verb else own)
+        raise InputError.at(path, "has no manifest.json; give the folder with the results of `cosim run`")
     run = read_ran(path)
     if not isinstance(run.manifest.get("scenario"), dict):
-        raise InputError.at(
-            path / "manifest.json",
-            "is not a manifest of a run: it has no scenario or is damaged; run the scenario again",
-        )
+        raise InputError.at(path / "manifest.json", "has no scenario or is damaged; run the scenario again")
     if not run.results.time.size:
         raise InputError.at(rows_in(path) or path, "has no rows: the run stopped before the first row; run it again")
     check_writable(path, ("report.html",))
@@ -287,29 +279,20 @@ def open_command(
 
     Example: cosim open 3
     """
-    from cosim.files.folders import has_results, state_of, warnings_on
+    from cosim.files.folders import state_of
     from cosim.files.run_entries import Selected, entries, select_groups
 
     root = results or RESULTS
     found = [Selected(e.folder, e) for e in entries(root)[-1:]] if run is None else select_groups([run], root)[0]
-    if not found:
-        text = "no results here; run a command without --out first, or give --results FOLDER"
-        raise InputError.at(root, text)
-    if len(found) > 1:
+    if len(found) != 1:
         names = some([f"{s.entry.number} {s.entry.name}" for s in found if s.entry is not None], NAMED_RUNS)
-        raise InputError.at(Path(run or ""), f"{len(found)} results match: {names}; give one of them")
+        raise InputError.at(Path(run or root), f"{len(found)} results: {names or 'none'}; give one as in `cosim list`")
     folder, entry = found[0].path, found[0].entry
     page = folder / "report.html"
     if not page.is_file():
-        if not has_results(folder):
-            reason = "has no results of a command; give a number, name or folder from `cosim list`"
-            raise InputError.at(folder, reason)
-        if state := state_of(folder):
-            raise InputError.at(folder, f"has no report.html: its command is {state}; `cosim list` shows the state")
-        of_run = entry.verb in {"run", "simulate", ""} if entry is not None else (folder / "manifest.json").is_file()
-        report = f"`cosim report {shlex.quote(str(folder))}` writes it"
-        cure = report if of_run else "run the command again with a report"
-        raise InputError.at(folder, f"has no report.html; {cure}")
+        state, place = state_of(folder), shlex.quote(str(folder))
+        reason = f"its command is {state}" if state else f"`cosim report {place}` writes that of a run"
+        raise InputError.at(folder, f"has no report.html; {reason}")
     warn(*dict.fromkeys((*warnings_on(folder), *(entry.warnings if entry is not None else ()))))
     say(f"report: {page}")
     if json:
@@ -349,7 +332,8 @@ def view_command(
     layouts = Layouts(layout or root / LAYOUTS)
     named = read_column_names(columns or (), Path((runs or ["--column"])[0]))
     places, notes = find_runs(runs or (), root, named)
-    opened, warnings = open_runs(places, progress_bar)
+    with progress_bar() as show:
+        opened, warnings = open_runs(places, show)
     warn(*notes, *warnings)
     labels = [run.place.label for run in opened]
     signals, rows = sum(len({*r.rows.units, *r.rows.texts}) for r in opened), sum(r.rows.rows for r in opened)
@@ -403,14 +387,8 @@ def gc_command(
             if not typer.confirm("Remove?"):
                 planned = []
     done = remove(plan.entries) if planned else Removal((), 0)
-    warn(*done.warnings)
-    reason = ""
-    if not plan.entries:
-        reason = ": these results include no earlier runs"
-        if names and chosen and all(entry.is_newest for entry in chosen):
-            earlier = " ".join(shlex.quote(f"{entry.of}/*") for entry in chosen)
-            reason = f": the newest results of a name are kept; give its earlier runs, such as {earlier}"
-    say(f"removed: {_amount(done)}" if done.entries else f"nothing to remove{reason}")
+    kept = "" if plan.entries else ": the newest results of a name are kept; give its earlier runs, such as 'tank/*'"
+    say(f"removed: {_amount(done)}" if done.entries else f"nothing to remove{kept}")
     if json:
         say_json({"removed": [entry.name for entry in done.entries], "bytes": done.size})
     refuse(done.faults)

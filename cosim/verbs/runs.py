@@ -59,12 +59,12 @@ def run_command(
             page.show_outcome(made)
     if coupling_error:
         from cosim.blocks.compiling import compiling
-        from cosim.simulation.coupling import coupling_error as error_of
+        from cosim.simulation.trial import coupling_error as error_of
 
-        overrides, options = overrides_of(given["set"], given["seed"], given["pace"]), ("nearest", "in_process")
+        overrides = overrides_of(given["set"], given["seed"], given["pace"])
         with compiling(given["compile"]):
             source = Path(made.manifest["source"])
-            sentence = error_of(source, overrides, **{name: given[name] for name in options}).sentence
+            sentence = error_of(source, overrides, in_process=given["in_process"]).sentence
         echo(sentence, err=True) if json else say(sentence)
     say_run(made, opens=open)
 

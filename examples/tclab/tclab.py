@@ -8,19 +8,18 @@ from dataclasses import dataclass
 
 from cosim.model import (
     Delay,
-    Effect,
     Equations,
+    LocalEffect,
     Model,
     Namespace,
     Number,
     Quantity,
     Scale,
     Values,
-    overrides,
     parameter,
+    size,
 )
 
-Pair = tuple[Number, Number]
 ROOM = 294.0  # [K] what the laws of radiation need; a degree more or less makes 1 % of it
 BLACK = 5.67e-8 * 1.2e-3  # [W/K4] radiation of a black body of a heater's surface, 12 cm²
 SENSOR = 3.0  # [s] time constant of the sensor by itself, in close contact
@@ -32,114 +31,58 @@ TOLD_APART_BY = {
 }
 
 
-class BoardEffect(Effect):
-    """Heat, or a lag of the sensors, that the base model lacks."""
-
-    def lag(self) -> Number:
-        """By how much the time constant [s] of the sensors is longer."""
-        return 0.0
-
-    def heat(self, m: Namespace, board: Pair, power: Pair) -> Pair:
-        """Heat [W] into either heater, from their temperatures [K] above the room and their powers [W]."""
-        return 0.0, 0.0
-
-
-@dataclass(frozen=True, kw_only=True)
-class CommandDelay(Delay, BoardEffect):
-    """Both heaters act T later."""
-
-    name = "delay"
-    memory = (
-        Quantity("heater_1", "%", "level of heater 1 that acts until the delay has passed"),
-        Quantity("heater_2", "%", "level of heater 2 that acts until the delay has passed"),
-    )
-    longest = 60.0
-
-    time: float = parameter(0.0, unit="s", bounds=(0, 60), neutral=0.0, typical=10.0, doc="delay T")
-
-
-@dataclass(frozen=True, kw_only=True)
-class SensorLag(BoardEffect):
-    """A sensor is glued beside its heater, and takes its time: (3 s + τ)·ċ = θ − c."""
-
-    name = "sensor_lag"
-    equation = "(3 s + τ)·ċ = θ − c"
-
-    time: float = parameter(0.0, unit="s", bounds=(0, 120), neutral=0.0, typical=10.0, doc="further time constant τ")
-
-    def lag(self) -> Number:
-        """τ."""
-        return self.time
-
-
-@dataclass(frozen=True, kw_only=True)
-class HeatExchange(BoardEffect):
-    """The heaters warm each other, by convection and through the board: k·(θ₂ − θ₁)."""
-
-    name = "heat_exchange"
-    equation = "heat k·(θ₂ − θ₁) from heater 2 to heater 1"
-
-    conductance: float = parameter(0.0, unit="W/K", bounds=(0, 0.1), neutral=0.0, typical=2e-3, doc="conductance k")
-
-    def heat(self, m: Namespace, board: Pair, power: Pair) -> Pair:
-        """k·(θ₂ − θ₁), and back."""
-        flow = self.conductance * (board[1] - board[0])
-        return flow, -flow
-
-
-@dataclass(frozen=True, kw_only=True)
-class SharedHeat(BoardEffect):
-    """A part of the power of either heater is set free in the other's place: in the supply and the traces."""
-
-    name = "shared_heat"
-    equation = "heat s·(P₂ − P₁) to heater 1"
-
-    share: float = parameter(0.0, unit="1", bounds=(0, 0.5), neutral=0.0, typical=0.1, doc="share s")
-
-    def heat(self, m: Namespace, board: Pair, power: Pair) -> Pair:
-        """s·(P₂ − P₁), and back."""
-        flow = self.share * (power[1] - power[0])
-        return flow, -flow
-
-
-@dataclass(frozen=True, kw_only=True)
-class Radiation(BoardEffect):
-    """Heat that is radiated: −ε·σ·A·((T₀ + θ)⁴ − T₀⁴)."""
-
-    name = "radiation"
-    equation = "heat −ε·σ·A·((T₀ + θ)⁴ − T₀⁴), T₀ = 294 K"
-
-    emissivity: float = parameter(0.0, unit="1", bounds=(0, 1), neutral=0.0, typical=0.8, doc="emissivity ε")
-
-    def heat(self, m: Namespace, board: Pair, power: Pair) -> Pair:
-        """−ε·σ·A·((T₀ + θ)⁴ − T₀⁴)."""
-        first, second = (self.emissivity * BLACK * (ROOM**4 - (ROOM + x) ** 4) for x in board)
-        return first, second
-
-
-@dataclass(frozen=True, kw_only=True)
-class NaturalConvection(BoardEffect):
-    """Air that rises by itself carries more the warmer it is: −k·|θ|·θ."""
-
-    name = "natural_convection"
-    equation = "heat −k·|θ|·θ"
-
-    coefficient: float = parameter(0.0, unit="W/K2", bounds=(0, 0.01), neutral=0.0, typical=3e-4, doc="coefficient k")
-
-    def heat(self, m: Namespace, board: Pair, power: Pair) -> Pair:
-        """−k·|θ|·θ."""
-        first, second = (-self.coefficient * m.where(x >= 0.0, x, -x) * x for x in board)
-        return first, second
-
-
-@dataclass(frozen=True, kw_only=True)
-class FirstSensorScale(Scale):
-    """Sensor 1 reads s·θ."""
-
-    name = "sensor_1_scale"
-    output = "temperature_1"
-
-    value: float = parameter(1.0, unit="1", bounds=(0.5, 2), neutral=1.0, typical=0.1, doc="scale s")
+# of a heater, with the temperatures [K] of it and of the other one, and the powers [W] of both
+CATALOGUE = (
+    Delay.named(
+        "delay",
+        memory=(
+            Quantity("heater_1", "%", "level of heater 1 that acts until the delay has passed"),
+            Quantity("heater_2", "%", "level of heater 2 that acts until the delay has passed"),
+        ),
+        longest=60.0,
+        time=size("s", (0, 60), 10.0, "delay T"),
+    ),
+    LocalEffect.named(  # a sensor is glued beside its heater, and takes its time
+        "sensor_lag",
+        place="sensor",
+        equation="(3 s + τ)·ċ = θ − c",
+        time=size("s", (0, 120), 10.0, "further time constant τ"),
+        change=lambda e, m, time: time + e.time,
+    ),
+    LocalEffect.named(  # the heaters warm each other, by convection and through the board
+        "heat_exchange",
+        place="heater",
+        equation="heat k·(θ₂ − θ₁) from heater 2 to heater 1",
+        conductance=size("W/K", (0, 0.1), 2e-3, "conductance k"),
+        change=lambda e, m, heat, own, other, *_: heat + e.conductance * (other - own),
+    ),
+    LocalEffect.named(  # a part of the power of either heater is set free in the other's place: supply and traces
+        "shared_heat",
+        place="heater",
+        equation="heat s·(P₂ − P₁) to heater 1",
+        share=size("1", (0, 0.5), 0.1, "share s"),
+        change=lambda e, m, heat, own, other, power, of_other: heat + e.share * (of_other - power),
+    ),
+    LocalEffect.named(
+        "radiation",
+        place="heater",
+        equation="heat −ε·σ·A·((T₀ + θ)⁴ − T₀⁴), T₀ = 294 K",
+        emissivity=size("1", (0, 1), 0.8, "emissivity ε"),
+        change=lambda e, m, heat, own, *_: heat + e.emissivity * BLACK * (ROOM**4 - (ROOM + own) ** 4),
+    ),
+    LocalEffect.named(  # air that rises by itself carries more the warmer it is
+        "natural_convection",
+        place="heater",
+        equation="heat −k·|θ|·θ",
+        coefficient=size("W/K2", (0, 0.01), 3e-4, "coefficient k"),
+        change=lambda e, m, heat, own, *_: heat - e.coefficient * m.where(own >= 0.0, own, -own) * own,
+    ),
+)
+FirstSensorScale = Scale.named(
+    "sensor_1_scale",
+    output="temperature_1",
+    value=parameter(1.0, unit="1", bounds=(0.5, 2), neutral=1.0, typical=0.1, doc="scale s"),
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -161,14 +104,7 @@ class Board(Model):
         Quantity("temperature_1", "K", "sensor 1, above its cold reading"),
         Quantity("temperature_2", "K", "sensor 2, above its cold reading"),
     )
-    catalogue = (
-        CommandDelay,
-        SensorLag,
-        HeatExchange,
-        SharedHeat,
-        Radiation,
-        NaturalConvection,
-    )
+    catalogue, places = CATALOGUE, ("sensor", "heater")
     sensors = (FirstSensorScale,)
     sensor_variance = {"temperature_1": 0.01, "temperature_2": 0.01}  # noqa: RUF012 - a ClassVar of the base; 0.1 K
     start_variance = dict.fromkeys(("board_1", "board_2", "sensor_1", "sensor_2"), 0.04)
@@ -192,21 +128,15 @@ class Board(Model):
         C·θ̇ᵢ = Pᵢ·uᵢ/100 % − k·θᵢ + heat of the effects
         (3 s + lag of the effects)·ċᵢ = θᵢ − cᵢ
         """
-        capacity, loss = self.capacity, self.loss
-        terms = overrides(self.awake, "heat", BoardEffect)
-        lags = overrides(self.awake, "lag", BoardEffect)
+        capacity, loss, at = self.capacity, self.loss, self.effects_at(m)
 
         def derivative(t: Number, state: Values, command: Values) -> Values:
             first, second, shown_1, shown_2 = state
-            power = 0.01 * self.power_1 * command[0], 0.01 * self.power_2 * command[1]
-            total_1, total_2 = power[0] - loss * first, power[1] - loss * second
-            for term in terms:
-                gain_1, gain_2 = term.heat(m, (first, second), power)
-                total_1, total_2 = total_1 + gain_1, total_2 + gain_2
-            time = SENSOR
-            for term in lags:
-                time = time + term.lag()
-            return total_1 / capacity, total_2 / capacity, (first - shown_1) / time, (second - shown_2) / time
+            one, two = 0.01 * self.power_1 * command[0], 0.01 * self.power_2 * command[1]
+            into_first = at("heater", one - loss * first, first, second, one, two)
+            into_second = at("heater", two - loss * second, second, first, two, one)
+            time = at("sensor", SENSOR)
+            return into_first / capacity, into_second / capacity, (first - shown_1) / time, (second - shown_2) / time
 
         def output(t: Number, state: Values, command: Values) -> Values:
             return (state[2], state[3])

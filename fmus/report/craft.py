@@ -1,32 +1,34 @@
-"""Analysis of the crafts in a run: estimators, references, responses, effort, saturation, errors of the estimate.
+"""Analysis of the crafts in a run: estimators, references, responses, effort, saturation, errors; their picture.
 
-Component names are chosen by the user, so variables define the roles: a craft has `x_world`, `y_world` and `psi`,
-an
-estimator has `x_hat` and `x_sigma`. Connections assign the estimators to crafts. Figures use every row and SI
-units.
+Component names are chosen by the user, so variables define the roles: a craft has `x_world`, `y_world` and `psi`, an
+estimator has `x_hat` and `x_sigma`. Connections assign the estimators to crafts. Figures use every row and SI units.
+
+In the picture from above, world X points up, Y to the left; coordinates are whole millimetres: right = −Y, down = −X.
+Path and craft have one scale. On a long path, the craft is magnified by a factor stated on the page.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from controller.settings import Settings
-from cosim.core.arrays import Array
-from cosim.core.units import read_quantity
+from cosim.core.arrays import Array, Rows
+from cosim.core.units import DEGREES, read_quantity
+from cosim.report.charts import Charts, round_values
 from cosim.report.panels import extent
 from cosim.simulation import criteria
 from cosim.simulation.report.recorded import Run, number
+from plant.hovercraft import Hovercraft
 
 SIDES = ("right", "left")
 COLOURS = {"right": "warm", "left": "cool"}
 BAND = 0.02  # m and rad: 2 % of the unit steps in the thesis
 MERGE = 0.1  # s; changes of a reference closer than this are one ramp
-MAX_SETTLED_DISTANCE = 0.05  # m; a craft farther from its target has not settled
 TILT_MAX = Settings().tilt_max  # [rad], default of the controller FMUs
 
 
@@ -208,3 +210,108 @@ def inside_band(craft: Craft, variable: str) -> float:
     good, true, estimate, sigma = finite(craft.signal(variable), *map(craft.estimate, names))
     # At the start P = 0 and the estimate is exact, so rounding must not count as outside.
     return float(np.mean(np.abs(estimate - true) <= 2 * sigma + 1e-9)) if good.any() else math.nan
+
+
+CRAFT = Hovercraft()
+ARM, RADIUS = CRAFT.arm, CRAFT.propeller_radius  # [m], defaults of the start values
+MARGIN = 0.42  # m around the path: half a craft and a margin
+MIN_RATIO, MAX_RATIO = 1.25, 1.9  # width / height of the picture
+MIN_SIZE = 0.06  # of the picture's width; a smaller craft is magnified
+ARROW = 250  # mm, about the length of the longest arrow
+MAX_COORDINATE = 1e9  # m; larger whole millimetres do not fit
+ON_TARGET = 0.02  # m; largest initial distance of the craft from a reference path
+
+
+@dataclass(frozen=True)
+class Track:
+    """Track of a craft: world position [m] and heading [rad] in each row."""
+
+    x: Array
+    y: Array
+    psi: Array
+
+    def drawn(self, rows: Rows) -> list[list[float | None]]:
+        """Return the positions to the right and down [mm], and the clockwise rotation [°] from nose up."""
+        lines = (-1000 * self.y, 0), (-1000 * self.x, 0), (-DEGREES * self.psi, 1)
+        return [round_values(line[rows], digits) for line, digits in lines]
+
+
+def make_track(x: Array, y: Array, psi: Array) -> Track:
+    """Return a track with NaN for poses beyond MAX_COORDINATE."""
+    far = ~(np.maximum(np.maximum(np.abs(x), np.abs(y)), np.abs(psi)) < MAX_COORDINATE)
+    return Track(*(np.where(far, np.nan, line) for line in (x, y, psi)))
+
+
+def true_track(craft: Craft) -> Track:
+    """Return the true track of a craft."""
+    return make_track(*map(craft.signal, ("x_world", "y_world", "psi")))
+
+
+def estimated_track(craft: Craft) -> Track | None:
+    """Return the estimated track, made of estimated distance and estimated heading; None without one."""
+    x_hat, psi_hat = craft.estimate("x_hat"), craft.estimate("psi_hat")
+    return _lay_out(craft, x_hat, psi_hat) if is_drawn(x_hat, psi_hat) else None
+
+
+def reference_track(craft: Craft) -> Track | None:
+    """Return the track of the references if the craft begins on it."""
+    x_ref, psi_ref = craft.reference("x"), craft.reference("psi")
+    begins_there = np.abs(x_ref - craft.signal("x"))[:1] <= ON_TARGET
+    return _lay_out(craft, x_ref, psi_ref) if begins_there.any() and is_drawn(psi_ref) else None
+
+
+def _lay_out(craft: Craft, way: Array, heading: Array) -> Track:
+    """Return the track of a distance along a heading, from the craft's start."""
+    begin, x = true_track(craft), craft.signal("x")
+    steps = np.diff(way, prepend=x[0] if is_drawn(x) else way[0])
+    ahead, aside = np.cumsum(steps * np.cos(heading)), np.cumsum(steps * np.sin(heading))
+    return make_track(begin.x[0] + ahead, begin.y[0] + aside, heading)
+
+
+def make_view(crafts: Sequence[Craft], rows: Rows, charts: Charts) -> tuple[dict[str, Any], list[dict[str, Any]]]:
+    """Return the picture of crafts with a drawable pose: box [mm] and sizes for the template, and data of the script.
+
+    Data of a craft are poses of true, estimated and reference track, tilts [°], horizontal forces [N] (or the sine of
+    the tilt without recorded thrust) with their scale; the charts have every row of the tilts.
+    """
+    bodies, tracks = list[dict[str, Any]](), list[Track]()
+    for craft in crafts:
+        true = true_track(craft)
+        if not is_drawn(true.x + true.y + true.psi):
+            continue
+        low, high = extent([true.x, true.y]) or (0.0, 0.0)
+        reach, near = 2 * (high - low) + 2, {"true": true}
+        for name, track in (("estimate", estimated_track(craft)), ("reference", reference_track(craft))):
+            span = extent([track.x, track.y]) if track is not None else None
+            if track and span and low - reach < span[0] and span[1] < high + reach:  # not far from the craft's own
+                near[name] = track
+        tracks += near.values()
+        bodies.append(_body(craft, rows, charts) | {name: track.drawn(rows) for name, track in near.items()})
+    x, y = (extent([getattr(track, axis) for track in tracks]) or (0.0, 0.0) for axis in "xy")
+    tall, wide = x[1] - x[0] + 2 * MARGIN, y[1] - y[0] + 2 * MARGIN
+    room = 0.03 * max(wide, tall) if max(wide, tall) > 4 else 0.0
+    tall, wide = tall + 2 * room, wide + 2 * room
+    wide, tall = max(wide, MIN_RATIO * tall), max(tall, wide / MAX_RATIO)
+    left, top = (math.floor(1000 * middle) for middle in (-(y[0] + y[1]) / 2 - wide / 2, -(x[0] + x[1]) / 2 - tall / 2))
+    box = left, top, math.ceil(1000 * wide), math.ceil(1000 * tall)
+    return {"box": box, "magnified": max(1.0, MIN_SIZE * box[2] / (2000 * (ARM + RADIUS))), "bodies": bodies}, bodies
+
+
+def _body(craft: Craft, rows: Rows, charts: Charts) -> dict[str, Any]:
+    start: Mapping[str, Any] = craft.run.start(craft.name)
+    body: dict[str, Any] = {"limit": (craft.tilt_limit or 0.0) * DEGREES, "unit": "N"}
+    for key, name, usual in (("arm", "arm", ARM), ("radius", "propeller_radius", RADIUS)):
+        size = number(start.get(name), usual)
+        body[key] = round(1000 * (size if 0 < size < 100 else usual))
+    forces = []
+    for side in SIDES:
+        tilt, thrust = craft.signal(f"tilt_{side}_actual"), craft.signal(f"thrust_{side}")
+        if not is_drawn(thrust):
+            thrust, body["unit"] = np.ones(tilt.size), ""
+        forces.append(np.sin(tilt) * thrust)
+        if is_drawn(tilt):
+            body[f"force_{side}"] = round_values(forces[-1][rows], 4)
+            body[f"tilt_{side}"] = round_values(tilt[rows] * DEGREES, 2)
+            body[f"tilt_{side}_key"] = charts.column(tilt * DEGREES)
+    largest = max(map(abs, extent(forces) or (0.0,)))
+    return body | {"force": 100 * largest / ARROW if largest > 1e-9 else 1.0}  # of an arrow of 10 cm, to be rounded up

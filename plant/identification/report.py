@@ -9,11 +9,9 @@ from typing import Any
 import numpy as np
 
 from cosim.core.text import MISSING, append_unit, counted, plain, written
-from cosim.core.version import __version__
 from cosim.report.charts import Charts, Plot
-from cosim.report.html_tables import Badge
 from cosim.report.panels import Band, Panel, Trace, extent
-from cosim.report.template import render
+from cosim.report.template import places, render
 from plant.identification.estimates import Estimate, Figure, Result
 from plant.identification.recordings import Cell
 
@@ -46,7 +44,7 @@ def page(
         recordings: Description of the data, such as `3 logs`.
         calibrated: Channel, cell, load unit in N or N m, and name of the unit.
     """
-    charts, every = Charts(), [(r.test, e) for r in results for e in r.estimates]
+    charts, every = Charts(), [(TITLES[r.test], e) for r in results for e in r.estimates]
     testable = [e for _, e in every if not np.isnan(e.truth)]
     held = sum(e.covers_truth for e in testable)
     widths = {e.name: e.half_width / abs(e.value) for _, e in every if e.value and np.isfinite(e.half_width)}
@@ -56,46 +54,35 @@ def page(
     elif widths:
         least = max(widths, key=lambda name: widths[name])
         headline += f"; the least accurate is {least}, ±{plain(100 * widths[least], 2)}\u00a0%."
-    cells = []
+    cells, plots = [], []
     for c, cell, unit, unit_name in calibrated:
         shown, grid = written(unit_name), np.linspace(cell.volts[0], cell.volts[-1], 200)
         lines = [("curve", grid, cell.force(grid) / unit, "true"), ("points", cell.volts, cell.loads / unit, "dots")]
-        rail = ", ".join(f"{f / unit:g}" for f in cell.saturated_loads)
-        cells.append(
-            {
-                "name": f"volts_{c}",
-                "points": counted(cell.loads.size, "point"),
-                "error": append_unit(plain(cell.error / unit, 3), shown),
-                "left": append_unit(plain(float(np.sqrt(np.mean(cell.cross_validation_errors**2))) / unit, 3), shown),
-                "rail": append_unit(rail, shown) if rail else MISSING,
-                "plot": plot_of(Figure(f"{CELLS[c]}: load over voltage", "voltage [V]", shown, lines), charts),
-            }
+        plots.append(
+            (plot_of(Figure(f"{CELLS[c]}: load over voltage", "voltage [V]", shown, lines), charts), "Fig 3.18")
         )
-    tests = [
-        {
-            "name": r.test,
-            "title": TITLES[r.test],
-            "notes": [*(f"Warning: {text}." for text in r.warnings), *r.notes],
-            "plots": [(plot_of(f, charts), f.counterpart) for f in r.figures],
-        }
-        for r in results
-    ]
-    return render(
-        TEMPLATE,
-        {
-            "name": name,
-            "headline": headline,
-            "tone": "good" if testable and held == len(testable) else "plain",
-            "badges": [Badge(counted(len(results), "test")), Badge(recordings)],
-            "rows": [{**_shown(e), "test": TITLES[test]} for test, e in every],
-            "known": bool(testable),
-            "cells": cells,
-            "tests": tests,
-            "data": charts.data(),  # after all drawings
-            "repeat": f"cosim identify {path}",
-            "version": __version__,
-        },
-    )
+        left_out = float(np.sqrt(np.mean(cell.cross_validation_errors**2)))
+        errors = (append_unit(plain(error / unit, 3), shown) for error in (cell.error, left_out))
+        rail = ", ".join(f"{f / unit:g}" for f in cell.saturated_loads)
+        cells.append((f"volts_{c}", counted(cell.loads.size, "point"), *errors, append_unit(rail or MISSING, shown)))
+    tests = []
+    for r in results:
+        notes = [*(f"Warning: {text}." for text in r.warnings), *r.notes]
+        figures = [(plot_of(f, charts), f.counterpart) for f in r.figures]
+        tests.append({"name": r.test, "title": TITLES[r.test], "notes": notes, "plots": figures})
+    values = {
+        "name": name,
+        "headline": headline,
+        "tone": "good" if testable and held == len(testable) else "plain",
+        "badges": [counted(len(results), "test"), recordings],
+        "rows": [{**_shown(e), "test": title} for title, e in every],
+        "known": bool(testable),
+        "cells": cells,
+        "cell_plots": plots,
+        "tests": tests,
+        "repeat": f"cosim identify {path}",
+    }
+    return render(TEMPLATE, values, charts)
 
 
 def _shown(e: Estimate) -> dict[str, Any]:
@@ -110,20 +97,15 @@ def _shown(e: Estimate) -> dict[str, Any]:
         return append_unit(plain(value * scale, digits), unit)
 
     shown = {n: number(getattr(e, n), e.half_width) for n in ("value", "low", "high", "thesis", "truth")}
-    errors = {n: number(getattr(e, n), getattr(e, n)) for n in ("scatter", "calibration")}
-    values = {n: getattr(e, n) for n in shown}
-    finite, places = [v for v in values.values() if np.isfinite(v)], dict[str, float]()
-    if len(finite) >= 3 and max(finite) > min(finite):  # positions [%] on a common scale
-        low, span = min(finite), max(finite) - min(finite)
-        places = {n: round(4.0 + 92.0 * (v - low) / span, 1) for n, v in values.items() if np.isfinite(v)}
+    marks = places(low=e.low, high=e.high, neutral=e.truth, thesis=e.thesis, dot=e.value)
     return {
         "name": e.name,
         "origin": f"{e.origin}; {counted(e.repetitions, 'repetition')}",
         "interval": f"{shown['low']} … {shown['high']}",
         "holds": e.covers_truth,
-        "places": places,
+        "places": marks if len(marks) >= 3 and len({*marks.values()}) > 1 else {},
         **shown,
-        **errors,
+        **{n: number(getattr(e, n), getattr(e, n)) for n in ("scatter", "calibration")},
     }
 
 

@@ -108,7 +108,6 @@ def record(study: ArmStudy, number: int) -> Log:
     path = _path(stream(study.seed, 1, number))
     speed = np.gradient(path, STEP, axis=0)
     x = np.array([path[0, 0], path[0, 1], path[0, 1], *speed[0], speed[0, 1]])
-    x[4], x[5] = speed[0, 1], speed[0, 1]
     nominal = {name: value for name, (value, _) in SHEET.items()}
     angles, torques = np.empty((ROWS, 2)), np.empty((ROWS, 2))
     last = path[0]

@@ -29,7 +29,7 @@ from pathlib import Path
 
 from tests.blind import harness, score
 from tests.blind.harness import Key, read
-from tests.blind.score import ARM, FIELD, FMU, IN_PARTS, LABORATORY, MIXED, Line
+from tests.blind.score import ARM, FIELD, FMU, LABORATORY, MIXED, Line
 from tests.corpus import revisions
 
 LINES = Path(__file__).with_name("baseline.jsonl")
@@ -48,7 +48,7 @@ ONE_SIDED = statistics.NormalDist().inv_cdf(0.95)
 # -- studies -----------------------------------------------------------------------------------------------
 
 
-def conduct(suite: str, seed: int, python: str, revision: str, *, near_ties: bool = True) -> Line:
+def conduct(suite: str, seed: int, python: str, revision: str) -> Line:
     """Draw a study, refine it with the Python of an environment, and return its line.
 
     Args:
@@ -56,7 +56,6 @@ def conduct(suite: str, seed: int, python: str, revision: str, *, near_ties: boo
         seed: of the study.
         python: of the environment.
         revision: whose model files of plants are used; one that ends in + is this tree.
-        near_ties: whether the line says if the study is a near-tie; the confirmatory comparison does not ask.
     """
     command = harness.CommandRefiner(f"{shlex.quote(python)} -P -m cosim refine {{study}} --out {{out}}", TIMEOUT)
 
@@ -67,8 +66,6 @@ def conduct(suite: str, seed: int, python: str, revision: str, *, near_ties: boo
 
     with tempfile.TemporaryDirectory(prefix="baseline-") as folder:
         _, line = harness.conduct(suite, seed, refiner, Path(folder))
-    if near_ties:  # of the first revision, which was compared with the nearest other effect of each study
-        line["near_tie"] = read(LINES).get((suite, seed), {}).get("near_tie", False)
     del line["seconds"]
     return line | {"revision": revision}
 
@@ -86,34 +83,26 @@ def missing(path: Path, revision: str, suites: Sequence[str] = (), *, confirmato
 # -- the table ---------------------------------------------------------------------------------------------
 
 
-def counts(suite: str, lines: Sequence[Line]) -> score.Counts:
-    """Return figure → (number of hits, number of cases), without those of a size of disturbance."""
-    counted = score.counts(suite, lines)
-    if suite in IN_PARTS:
-        alarms = [score.is_false_alarm(line) for line in lines if line["kind"] == "nothing"]
-        counted |= {"false_alarms": (sum(alarms), len(alarms)), "coverage": score.coverage(lines)}
-    return {name: pair for name, pair in counted.items() if "disturbed" not in name}
-
-
 def table(lines: Sequence[Line]) -> str:
-    """Return the figures of each suite with 95 % intervals, of all studies and of those that are no near-ties."""
-    text = []
+    """Return the figures of each suite with 95 % intervals, of all studies and of those that are no near-ties.
+
+    The lines of the first revision, which was compared with the nearest other effect of each study, say `near_tie`.
+    """
+    text, ties = [], {key for key, line in read(LINES).items() if line.get("near_tie")}
     for suite, (_, of) in SUITES.items():
         every = [line for line in lines if line["suite"] == suite]
-        apart = [line for line in every if not line.get("near_tie")]
+        apart = [line for line in every if (suite, line["seed"]) not in ties]
         failed = sum(line["verdict"] == "failed" for line in every)
         text += ["", f"{suite}: {len(every)} of {of} studies, {failed} failed, {len(every) - len(apart)} near-ties"]
-        groups = [counts(suite, every)] + ([counts(suite, apart)] if len(apart) < len(every) else [])
-        for name in groups[0]:
-            text.append(
-                f"  {name:25}" + "   without near-ties".join(score.share_text(*group[name], 3) for group in groups)
-            )
+        counted, without = score.counts(suite, every), score.counts(suite, apart)
+        for name, pair in counted.items():
+            text.append(f"  {name:25}{score.share_text(*pair, 3)}")
+            if len(apart) < len(every):
+                text[-1] += f"   without near-ties{score.share_text(*without[name], 3)}"
         if every:
             seconds = sorted(line["processor_seconds"] for line in every)
             late = seconds[math.ceil(0.95 * len(seconds)) - 1]
             text.append(f"  processor seconds: median {statistics.median(seconds):.0f}, 95 % {late:.0f}")
-        if len(apart) < len(every):
-            text.append("  near-ties: " + " ".join(str(line["seed"]) for line in every if line.get("near_tie")))
     return "\n".join(text[1:])
 
 
@@ -190,7 +179,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if subprocess.run([python, "-P", "-c", "import cosim, plant"]).returncode:
             parser.error(f"{python} has no cosim and hovercraft")
         todo = missing(lines, revision, options.suites, confirmatory=options.confirmatory)
-        one = partial(conduct, python=python, revision=revision, near_ties=not options.confirmatory)
+        one = partial(conduct, python=python, revision=revision)
         signal.signal(signal.SIGTERM, signal.default_int_handler)
         try:
             if harness.run(todo, one, lines, options.jobs):

@@ -12,8 +12,8 @@ from __future__ import annotations
 import argparse
 import pickle
 import tempfile
-from collections import Counter, defaultdict
-from collections.abc import Callable, Iterable, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterable
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import replace
 from pathlib import Path
@@ -29,7 +29,6 @@ from tests.blind import harness, score
 from tests.blind.score import Line
 
 FOLDER = Path(__file__).resolve().parents[2] / "build" / "bundles"
-RESAMPLED = 100  # bootstrap samples of the blocks
 Rule = Callable[[Bundle], Decision]
 
 
@@ -91,53 +90,13 @@ def with_widths(times: float) -> Rule:
     return lambda bundle: decide(replace(bundle, hypotheses=[widened(h) for h in bundle.hypotheses]))
 
 
-def with_half_the_blocks(bundle: Bundle) -> Decision:
-    """Decide with pairs of neighbouring blocks as one."""
-
-    def halved(h: Evidence) -> Evidence:
-        starts = np.concatenate([np.flatnonzero(h.logs == log)[::2] for log in np.unique(h.logs)])
-        values, gradients = (np.add.reduceat(v, starts, axis=0) for v in (h.log_likelihoods, h.gradients))
-        return replace(h, log_likelihoods=values, gradients=gradients, logs=h.logs[starts])
-
-    return decide(replace(bundle, hypotheses=[halved(h) for h in bundle.hypotheses]))
-
-
 def strictly(bundle: Bundle) -> Decision:
     """Decide with every claim withdrawn where unnamed terms are significant."""
     return decide(replace(bundle, misfit=replace(bundle.misfit, beside=dict.fromkeys(bundle.kinds, 0.0))))
 
 
-def bagged(bundle: Bundle) -> Decision:
-    """Decide by the mean posterior over bootstrap weights of the blocks (Huggins and Miller 2019)."""
-    rng, plain = np.random.default_rng(0), rules.posterior
-    logs = bundle.hypotheses[0].logs
-    weights = [rng.multinomial(len(logs), np.full(len(logs), 1 / len(logs))).astype(float) for _ in range(RESAMPLED)]
-
-    def resampled(h: Evidence, weight: Any) -> Evidence:
-        shares = np.bincount(logs, weight) / np.bincount(logs)
-        return replace(
-            h,
-            log_likelihoods=weight * h.log_likelihoods,
-            gradients=weight[:, None] * h.gradients,
-            informations=shares[:, None, None] * h.informations,
-        )
-
-    def mean(hypotheses: Sequence[Evidence], count: int) -> Any:
-        kappa = plain(hypotheses, count)[1]
-        total: dict[frozenset[str], float] = defaultdict(float)
-        for weight in weights:
-            for parts, p in plain([resampled(h, weight) for h in hypotheses], count)[0].items():
-                total[parts] += p / RESAMPLED
-        return dict(total), kappa
-
-    with patch.object(rules, "posterior", mean):
-        return decide(bundle)
-
-
 RULES: dict[str, Rule] = {
     "as it is": decide,
-    "bootstrap weights of blocks": bagged,
-    "half as many blocks": with_half_the_blocks,
     "no dispersion": with_numbers(dispersion=lambda h: 1.0),
     "certain from 0.9": with_numbers(CERTAIN=0.9),
     "certain from 0.99": with_numbers(CERTAIN=0.99),

@@ -18,7 +18,7 @@ from tests.blind.field_rig import (
     Rate,
     Rig,
     hidden_in,
-    manoeuvre,
+    kept_level,
     moving,
     rounded,
     sensor,
@@ -71,6 +71,7 @@ class DriveTrain(Rig):
         frozenset({"cubic_belt", "belt_play"}),
         frozenset({"torque_asymmetry", "torque_offset"}),
     )
+    manoeuvres, rest_rows = ((-2.0, 2.0, (0.05, 1.5)),), 20  # [N m]
     pushes, correlation_time = (4.0, 4.0), 0.2
     step, rows, horizon, preroll = 0.005, 3000, 0.5, 0.1
 
@@ -106,12 +107,6 @@ class DriveTrain(Rig):
             return [x[0], x[1], x[2] + hidden("eccentric_encoder", lambda amplitude: amplitude * f.sin(x[2]))]
 
         return rate, look
-
-    def drive(self, rng: Random) -> Array:
-        """Return torques up to ±2 N m, held from 50 ms to 1.5 s; 0 in the first 0.1 s."""
-        torque = manoeuvre(rng, self.rows, self.step, (-2.0, 2.0), (0.05, 1.5))
-        torque[:20] = 0.0
-        return rounded(torque[:, None])
 
     def begin(self, rng: Random) -> Array:
         """Return a start state at rest at 0, or turning."""
@@ -162,6 +157,7 @@ class Tanks(Rig):
         frozenset({"outlet_exponent", "constant_draw", "head_loss"}),
     )
     own_states = {"pump_lag": {"pump_lag.left": 5.0, "pump_lag.right": 5.0}}
+    manoeuvres, rest_rows = ((0.0, 10.0, (8.0, 150.0)),) * 2, 5  # [V]
     pushes, correlation_time = (6e-5, 6e-5), 30.0
     step, rows, horizon, preroll = 1.0, 1800, 40.0, 30.0
     substeps = 2
@@ -219,19 +215,9 @@ class Tanks(Rig):
         return rate, look
 
     def drive(self, rng: Random) -> Array:
-        """Return voltages of both pumps, 0 to 10 V, held 8 s to 150 s, corrected to keep nominal tanks half full."""
-        pumps = np.column_stack([manoeuvre(rng, self.rows, self.step, (0.0, 10.0), (8.0, 150.0)) for _ in range(2)])
-        pumps[:5] = 5.0
-        levels, gain, area = np.array([0.3, 0.25]), 6e-6, 0.02
-        for row in pumps:  # on paper: keep the nominal tanks from overflowing and from running dry
-            row += 6.0 * np.minimum(0.45 - levels, 0.0) / 0.05 + 6.0 * np.maximum(0.12 - levels, 0.0) / 0.05
-            np.clip(row, 0.0, 10.0, out=row)
-            fall = levels[0] - levels[1]
-            across = 1.2e-4 * fall * (fall * fall + 1e-4) ** -0.25
-            levels = levels + self.step / area * (
-                gain * row + np.array([-across, across - 1.2e-4 * math.sqrt(max(levels[1], 1e-3))])
-            )
-        pumps[:5] = 5.0
+        """Return voltages of both pumps, corrected to keep nominal tanks half full."""
+        pumps = kept_level(self.exact_drive(rng), np.array([0.3, 0.25]), 0.45, 120.0, self.step)
+        pumps[: self.rest_rows] = 5.0
         return rounded(pumps)
 
     def begin(self, rng: Random) -> Array:
@@ -282,6 +268,7 @@ class Cart(Rig):
         frozenset({"motor_lag", "camera_latency"}),
     )
     own_states = {"motor_lag": {"motor_lag.force": 0.0}}
+    manoeuvres, rest_rows = ((-4.0, 4.0, (0.1, 2.5)),), 15  # [N]
     pushes, correlation_time = (8.0, 2.0), 1.0
     step, rows, horizon, preroll = 0.02, 2000, 2.0, 0.2
     substeps = 4
@@ -334,11 +321,10 @@ class Cart(Rig):
         return rate, look
 
     def drive(self, rng: Random) -> Array:
-        """Return forces up to ±4 N, held from 0.1 s to 2.5 s, plus feedback of a nominal cart to the rail's centre."""
-        force = manoeuvre(rng, self.rows, self.step, (-4.0, 4.0), (0.1, 2.5))
-        force[:15] = 0.0
+        """Return forces, with feedback of a nominal cart to the rail's centre."""
+        force = self.exact_drive(rng)[:, 0]
         x = v = 0.0
-        for k in range(15, self.rows):
+        for k in range(self.rest_rows, self.rows):
             force[k] = min(max(0.8 * force[k] - 1.5 * x, -4.0), 4.0)
             x, v = x + self.step * v, v + self.step * (force[k] - 2.0 * v) / 1.3
         return rounded(force[:, None])
@@ -401,6 +387,7 @@ class QuarterCar(Rig):
         "damper_mount": {"damper_mount.force": 0.0},
         "passenger": {"passenger.height": 0.0, "passenger.speed": 0.0},
     }
+    manoeuvres, rest_rows = ((-0.03, 0.03, (0.06, 1.5)),), 20  # [m]
     pushes, correlation_time = (1080.0, 10800.0), 0.3
     step, rows, horizon, preroll = 0.005, 3000, 1.0, 0.1
     substeps = 2
@@ -448,12 +435,6 @@ class QuarterCar(Rig):
             return [x[2] - x[0], (suspension + (load + rider) + push[0]) / p["body_mass"], x[0]]
 
         return rate, look
-
-    def drive(self, rng: Random) -> Array:
-        """Return heights up to ±30 mm, held from 60 ms to 1.5 s; 0 in the first 0.1 s."""
-        road = manoeuvre(rng, self.rows, self.step, (-0.03, 0.03), (0.06, 1.5))
-        road[:20] = 0.0
-        return rounded(road[:, None])
 
     def begin(self, rng: Random) -> Array:
         """Return a start state at rest, or bouncing."""

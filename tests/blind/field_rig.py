@@ -167,6 +167,9 @@ class Rig:
     preroll: float  # [s] of rest command before the first row
     substeps: int = 1  # of a row, for the estimate of the cost
     shaping: tuple[str, ...] = ("command_delay.time",)  # numbers that decide the acting commands
+    # smallest, largest command, and shortest, longest hold [s] of each input; rows at rest at the beginning
+    manoeuvres: tuple[tuple[float, float, tuple[float, float]], ...] = ()
+    rest_rows: int = 0
 
     def bind(self, f: Any, p: Flat) -> tuple[Rate, Look]:
         """Return derivatives and outputs as functions, for parameters `p`; effects missing in `p` are absent.
@@ -178,7 +181,14 @@ class Rig:
 
     def drive(self, rng: Random) -> Array:
         """Return the commands of a log, shape (rows, inputs)."""
-        raise NotImplementedError
+        return rounded(self.exact_drive(rng))
+
+    def exact_drive(self, rng: Random) -> Array:
+        """Return the commands of a log in all digits: of each input steps, levels, ramps, multisines, noise."""
+        columns = [manoeuvre(rng, self.rows, self.step, (low, high), holds) for low, high, holds in self.manoeuvres]
+        commands = np.column_stack(columns)
+        commands[: self.rest_rows] = list(self.inputs.values())
+        return commands
 
     def begin(self, rng: Random) -> Array:
         """Return the start state of a log, with probability ½ at rest."""
@@ -383,6 +393,17 @@ def _styled(style: str, rng: Random, count: int, step: float, times: tuple[float
     else:
         levels = np.where(np.arange(len(lengths)) % 2, 1.0, -1.0) * rng.choice([0.0, 1.0, 1.0, 1.0], len(lengths))
     return np.repeat(levels, lengths)[:count]
+
+
+def kept_level(pumps: Array, levels: Array, high: float, pull: float, step: float) -> Array:
+    """Return voltages of two pumps, corrected on paper so that nominal tanks run neither over nor dry."""
+    for volts in pumps:
+        volts += pull * (np.minimum(high - levels, 0.0) + np.maximum(0.12 - levels, 0.0))
+        np.clip(volts, 0.0, 10.0, out=volts)
+        fall = levels[0] - levels[1]
+        across, out = 1.2e-4 * fall * (fall * fall + 1e-4) ** -0.25, 1.2e-4 * math.sqrt(max(levels[1], 1e-3))
+        levels = levels + step / 0.02 * (6e-6 * volts + np.array([-across, across - out]))
+    return pumps
 
 
 def moving(rng: Random, *widths: float) -> Array:

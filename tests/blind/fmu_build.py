@@ -34,6 +34,7 @@ SOURCES = Path(__file__).with_name("fmus")
 WAYS = ("model_exchange", "co_simulation")
 FLAGS = "-shared -fPIC -std=gnu99 -O2 -w -s -fvisibility=hidden"
 INPUT, STATE, RATE, READING, PARAMETER, TIME = 0, 100, 200, 300, 400, 999  # first value references
+REAL = ("unit", "start", "derivative")  # attributes of the type
 UNITS = {  # name → exponents of SI base units
     "A": "A=1", "V": "kg=1 m=2 s=-3 A=-1", "ohm": "kg=1 m=2 s=-3 A=-2", "H": "kg=1 m=2 s=-2 A=-2",
     "N": "kg=1 m=1 s=-2", "N.m": "kg=1 m=2 s=-2", "N.m/A": "kg=1 m=2 s=-2 A=-1", "N/m": "kg=1 s=-2",
@@ -181,29 +182,31 @@ def _layout(plant: Plant) -> str:
 # -- model descriptions ------------------------------------------------------------------------------------
 
 
-def _declared(plant: Plant, fault: str) -> list[dict[str, Any]]:
-    """Return the attributes of the variables in any version of FMI; `derivative` is the name of a state."""
-    found: list[dict[str, Any]] = []
-
-    def declare(name: str, reference: int, causality: str, v: Variable | None = None, **more: Any) -> None:
-        told = {"description": v.description if v else f"rate of {more['derivative']}", "causality": causality}
-        initial = more.pop("initial", "" if causality == "input" else "calculated")
-        told |= {"variability": more.pop("variability", "continuous"), "initial": initial}
-        unit = v.unit if v and fault != NO_UNITS else ""
-        found.append({"name": name, "valueReference": reference, **told, "unit": unit, **more})
-
-    for k, v in enumerate(plant.inputs):
-        declare(v.name, INPUT + k, "input", v, start=v.start)
-    for k, v in enumerate(plant.states):
-        shown = "output" if v.name in plant.output_names else "local"
-        declare(v.name, STATE + k, shown, v, start=v.start, initial="exact")
-    for k, v in enumerate(plant.states):
-        declare(f"der({v.name})", RATE + k, "local", derivative=v.name)
-    for k, v in enumerate(plant.readings):
-        declare(v.name, READING + k, "output", v)
-    for k, v in enumerate(plant.parameters if fault != NO_PARAMETERS else ()):
-        declare(v.name, PARAMETER + k, "parameter", v, start=v.start, initial="exact", variability="fixed")
-    return found
+def _declared(plant: Plant, version: int, fault: str) -> list[dict[str, Any]]:
+    """Return the attributes of the variables; `derivative` is the number of a state."""
+    rates = [Variable(f"der({v.name})", 0.0, "", f"rate of {v.name}") for v in plant.states]
+    state = STATE if version > 2 else 1 + len(plant.inputs)
+    return [
+        {
+            "name": v.name,
+            "valueReference": first + k,
+            "description": v.description,
+            "causality": causality or ("output" if v.name in plant.output_names else "local"),
+            "variability": "fixed" if first == PARAMETER else "continuous",
+            "initial": initial,
+            "unit": "" if fault == NO_UNITS else v.unit,
+            "start": "" if initial == "calculated" else v.start,
+            "derivative": state + k if first == RATE else "",
+        }
+        for first, variables, causality, initial in (
+            (INPUT, plant.inputs, "input", ""),
+            (STATE, plant.states, "", "exact"),
+            (RATE, rates, "local", "calculated"),
+            (READING, plant.readings, "output", "calculated"),
+            (PARAMETER, () if fault == NO_PARAMETERS else plant.parameters, "parameter", "exact"),
+        )
+        for k, v in enumerate(variables)
+    ]
 
 
 def _attributes(**given: object) -> str:
@@ -232,28 +235,21 @@ def _units() -> str:
 
 def _description(name: str, version: int, fault: str, ways: Sequence[str]) -> str:
     plant = PLANTS[name]
-    variables = _declared(plant, fault)
-    number = {v["name"]: k if version == 2 else v["valueReference"] for k, v in enumerate(variables, start=1)}
+    variables = _declared(plant, version, fault)
     time = f'<Float64 name="time" valueReference="{TIME}" causality="independent" variability="continuous"/>'
     lines = [] if version == 2 else [time]
-    for v in variables:
-        told = v | ({"derivative": number[v["derivative"]]} if "derivative" in v else {})
-        real = {key: told.pop(key, "") for key in ("unit", "start", "derivative")}
-        if version == 2:
-            lines.append(f"<ScalarVariable{_attributes(**told)}><Real{_attributes(**real)}/></ScalarVariable>")
-        else:
-            lines.append(f"<Float64{_attributes(**told, **real)}/>")
-    outputs = [v for v in variables if v["name"] in plant.output_names]
-    rates = [v for v in variables if "derivative" in v]
-    unknown = [v for v in variables if "derivative" in v or (v in outputs and v["initial"] == "calculated")]
-    structure = ""
-    for tag, some in (("Output", outputs), ("Derivative", rates), ("InitialUnknown", unknown)):
-        if version == 2:
-            listed = "".join(f'<Unknown index="{number[v["name"]]}"/>' for v in some)
-            structure += f"<{tag}s>{listed}</{tag}s>"
-        else:
-            tag = "ContinuousStateDerivative" if tag == "Derivative" else tag
-            structure += "".join(f'<{tag} valueReference="{number[v["name"]]}"/>' for v in some)
+    structure = {"Output": "", "Derivative" if version == 2 else "ContinuousStateDerivative": "", "InitialUnknown": ""}
+    for number, v in enumerate(variables, start=1):
+        real = _attributes(**{key: v[key] for key in REAL})
+        told = _attributes(**{key: value for key, value in v.items() if key not in REAL})
+        lines.append(
+            f"<ScalarVariable{told}><Real{real}/></ScalarVariable>" if version == 2 else f"<Float64{told}{real}/>"
+        )
+        is_output, is_unknown = v["name"] in plant.output_names, v["initial"] == "calculated"
+        for tag, belongs in zip(structure, (is_output, v["derivative"] != "", is_unknown), strict=True):
+            own = f'<Unknown index="{number}"/>' if version == 2 else f'<{tag} valueReference="{v["valueReference"]}"/>'
+            structure[tag] += own * belongs
+    unknowns = "".join(f"<{tag}s>{some}</{tag}s>" if version == 2 else some for tag, some in structure.items())
     token = {"guid" if version == 2 else "instantiationToken": f"blind-{name}"}
     events = {"numberOfEventIndicators": 0} if version == 2 else {}
     head = _attributes(fmiVersion=f"{version}.0", modelName=name, **token, description=plant.title, **events)
@@ -261,6 +257,6 @@ def _description(name: str, version: int, fault: str, ways: Sequence[str]) -> st
     return (
         f'<?xml version="1.0" encoding="UTF-8"?>\n<fmiModelDescription{head}>\n'
         f"{_ways(name, fault, ways, version)}\n{_units() if fault != NO_UNITS else ''}\n"
-        f"<ModelVariables>\n{listed}\n</ModelVariables>\n<ModelStructure>{structure}</ModelStructure>\n"
+        f"<ModelVariables>\n{listed}\n</ModelVariables>\n<ModelStructure>{unknowns}</ModelStructure>\n"
         "</fmiModelDescription>\n"
     )

@@ -41,14 +41,11 @@ from tests.blind.field_rig import (
     Flat,
     Floats,
     Look,
-    Random,
     Rate,
     Rig,
     Run,
     hidden_in,
     laws_in,
-    manoeuvre,
-    rounded,
     sensor,
 )
 from tests.blind.fmu_build import PLANTS
@@ -179,12 +176,14 @@ class FmuRig(Rig):
     plants_outputs: dict[str, Output]
     strangers: dict[str, Entry]
     preroll_rows: int = 60
+    rest_rows = 10
 
     def __init__(self, way: str) -> None:
         self.way, plant = way, PLANTS[self.name]
         self.sheet = {place(v.name): (v.start, v.tolerance) for v in plant.parameters}
         self.rest = [v.start for v in plant.states]
         self.inputs = {name: u.rest for name, u in self.plants_inputs.items()}
+        self.manoeuvres = tuple((u.low, u.high, u.holds) for u in self.plants_inputs.values())
         self.outputs = {name: y.noise for name, y in self.plants_outputs.items()}
         self.preroll = self.preroll_rows * self.step
         at_inputs = {"delay": Entry("time", 0.5 * self.step, 0.02 * self.step, 20.0 * self.step)}
@@ -320,13 +319,6 @@ class FmuRig(Rig):
             number = list(self.outputs).index(late_output)
             readings[:, number] = np.interp(run.times - p[f"{late}.value"], moments, fine[:, number])
         return Course(self.all_sensed(p, readings), states)
-
-    def drive(self, rng: Random) -> Array:
-        """Return the commands of a log, for each input steps, levels, ramps, multisines, noise; at first at rest."""
-        columns = [manoeuvre(rng, self.rows, self.step, (u.low, u.high), u.holds) for u in self.plants_inputs.values()]
-        commands = np.column_stack(columns)
-        commands[:10] = list(self.inputs.values())
-        return rounded(commands)
 
 
 # (functions, position, velocity, direction, parameters) → force against the motion; (…, value, …) → loss of a storage

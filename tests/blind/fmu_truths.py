@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from tests.blind.field_rig import Array, Entry, Flat, Random, Rate, moving, rounded
+from tests.blind.field_rig import Array, Entry, Flat, Random, Rate, kept_level, moving, rounded
 from tests.blind.fmu_rig import CoSimulation, FmuRig, Input, ModelExchange, Output, Pair, Storage
 
 LAGS = "lag second_order_lag rate_limit"
@@ -144,15 +144,8 @@ class Tanks(FmuRig):
 
     def drive(self, rng: Random) -> Array:
         """Return voltages that keep nominal tanks from running over and dry."""
-        pumps = super().drive(rng)
-        h = np.array(self.rest)
-        for volts in pumps:
-            volts += 100.0 * (np.minimum(0.42 - h, 0.0) + np.maximum(0.12 - h, 0.0))
-            np.clip(volts, 0.0, 10.0, out=volts)
-            fall = h[0] - h[1]
-            pipe, out = 1.2e-4 * fall * (1e-4 + fall * fall) ** -0.25, 1.2e-4 * math.sqrt(max(h[1], 1e-3))
-            h = h + self.step / 0.02 * (6e-6 * volts + np.array([-pipe, pipe - out]))
-        pumps[:10] = 5.0
+        pumps = kept_level(super().drive(rng), np.array(self.rest), 0.42, 100.0, self.step)
+        pumps[: self.rest_rows] = 5.0
         return rounded(pumps)
 
     def begin(self, rng: Random) -> Array:

@@ -189,8 +189,7 @@ def run(todo: Sequence[Key], one: Callable[[str, int], Line], path: Path, jobs: 
         with path.open("a") as file:  # several commands may write it
             fcntl.flock(file, fcntl.LOCK_EX)
             file.write(json.dumps(line, separators=(",", ":"), ensure_ascii=False) + "\n")
-        outcome = line.get("failure") or score.outcome_text(suite, line)
-        print(f"{score.label(suite, line):50} {outcome}  {line['processor_seconds']} s", file=sys.stderr)
+        print(f"{score.text_of(line)} {line.get('failure', '')}  {line['processor_seconds']} s", file=sys.stderr)
     return failed
 
 

@@ -14,10 +14,12 @@ from __future__ import annotations
 import math
 import re
 import statistics
-from collections import Counter, defaultdict
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Sequence
 from itertools import permutations
 from typing import Any
+
+from scipy.stats import binomtest
 
 from tests.blind.truth import BASE, SENSORS
 
@@ -31,16 +33,14 @@ OUTCOMES = ("right", "in set", "part", "wrong", "no_effect", "unexplained", "amb
 CONFIDENT = ("effect_found", "parameter_error", "sensor_error")
 LARGEST_SET = 3
 HALVED = 0.5  # of the sealed error of the arm's yardstick, from which friction has to be named
-BY_NAMES = ("right", "in_set", "wrong")
 
 
-def wilson(hits: int, of: int, z: float = 1.959963984540054) -> tuple[float, float]:
-    """Return Wilson's score interval of a fraction, by default 95 %; (0, 1) without cases."""
+def wilson(hits: int, of: int) -> tuple[float, float]:
+    """Return Wilson's 95 % interval of a fraction; (0, 1) without cases."""
     if of == 0:
         return 0.0, 1.0
-    p, zz = hits / of, z * z / of
-    middle, half = p + zz / 2.0, z * math.sqrt(p * (1.0 - p) / of + zz / (4.0 * of))
-    return max(0.0, (middle - half) / (1.0 + zz)), min(1.0, (middle + half) / (1.0 + zz))
+    interval = binomtest(hits, of).proportion_ci(method="wilson")
+    return float(interval.low), float(interval.high)
 
 
 def share_text(hits: int, of: int, width: int = 4) -> str:
@@ -213,7 +213,7 @@ def is_due(line: Line) -> bool:
 
 
 def outcome(line: Line) -> str:
-    """Return the outcome of a study that is not judged in parts: a word of `OUTCOMES`."""
+    """Return the outcome of a study: a word of `OUTCOMES`."""
     if line["kind"] == "known":
         for word, holds in (("right", is_right), ("in set", is_in_set)):
             if holds(line):
@@ -241,6 +241,8 @@ def counts(suite: str, lines: Iterable[Line]) -> Counts:
             "parts_named": (sum(len(named_parts(line)) for line in due), sum(len(parts(line)) for line in due)),
             "wrong_parts": (sum(len(wrong_parts(line)) for line in lines), sum(len(put_forward(x)) for x in lines)),
             "studies_with_wrong_parts": count(wrong_parts, lines),
+            "false_alarms": count(is_false_alarm, nothing),
+            "coverage": coverage(lines),
         }
     found = {
         "right": count(is_right, known),
@@ -254,9 +256,6 @@ def counts(suite: str, lines: Iterable[Line]) -> Counts:
     }
     if suite == LABORATORY:
         del found["no_effect"]
-    if suite == FIELD:
-        for size in ("small", "large"):
-            found[f"coverage_disturbed_{size}"] = coverage(line for line in known if line["disturbance"] == size)
     return found
 
 
@@ -266,47 +265,21 @@ def coverage(lines: Iterable[Line]) -> tuple[int, int]:
     return sum(hits), len(hits)
 
 
-def groups(lines: Iterable[Line]) -> dict[str, tuple[tuple[str, ...], list[Line]]]:
-    """Return group of studies of FMUs → (its figures, its lines): ways, sizes, both together."""
-    found: dict[str, tuple[tuple[str, ...], list[Line]]] = {}
-    by_size = (*BY_NAMES, "coverage")
-    for line in lines:
-        size, way = line["size"], line["way"]
-        names = {way: tuple(counts(FMU, ()))} | ({size: by_size, f"{size}, {way}": by_size} if size else {})
-        for name, figures in names.items():
-            found.setdefault(name, (figures, []))[1].append(line)
-    return dict(sorted(found.items()))
-
-
 def summary(suite: str, lines: Sequence[Line]) -> dict[str, Any]:
     """Return the figures of a suite in the last line of the output; None for figures without cases."""
-    found = _shares(suite, lines)
+    shares = {name: round(hits / of, 4) if of else None for name, (hits, of) in counts(suite, lines).items()}
+    found: dict[str, Any] = {"studies": len(lines)} | shares
     known = [line for line in lines if line["kind"] == "known"]
     if suite == LABORATORY:
         left = [e for line in known if (e := excess_left(line)) is not None]
         covered = found.pop("coverage")
         found |= {"excess_left": round(statistics.median(left), 4) if left else None, "coverage": covered}
-    if suite not in (FIELD, FMU):
-        return found
-    ratios = sorted(ratio for line in known if (ratio := sealed_ratio(line)) is not None)
-    seconds = sorted(line["seconds"] for line in lines)
-    found |= {"sealed_ratio_median": _ranked(ratios, 0.5), "sealed_ratio_90": _ranked(ratios, 0.9)}
-    if suite == FIELD:
-        by_number = defaultdict(list)
-        for line in sorted(known, key=lambda line: len(line["truth"])):
-            by_number[str(len(line["truth"]))].append(line)
-        found["by_effects"] = {number: _shares(suite, chosen, BY_NAMES) for number, chosen in by_number.items()}
-    found |= {"seconds_median": _ranked(seconds, 0.5), "seconds_95": _ranked(seconds, 0.95)}
-    if suite == FMU:
-        found["by"] = {name: _shares(suite, chosen, figures) for name, (figures, chosen) in groups(lines).items()}
+    if suite in (FIELD, FMU):
+        ratios = sorted(ratio for line in known if (ratio := sealed_ratio(line)) is not None)
+        seconds = sorted(line["seconds"] for line in lines)
+        found |= {"sealed_ratio_median": _ranked(ratios, 0.5), "sealed_ratio_90": _ranked(ratios, 0.9)}
+        found |= {"seconds_median": _ranked(seconds, 0.5), "seconds_95": _ranked(seconds, 0.95)}
     return found
-
-
-def _shares(suite: str, lines: Sequence[Line], names: Sequence[str] = ()) -> dict[str, Any]:
-    """Return the number of studies, and figure → share of its cases, of all figures or of those named."""
-    counted = counts(suite, lines)
-    shares = {name: round(hits / of, 4) if of else None for name, (hits, of) in counted.items()}
-    return {"studies": len(lines)} | {name: shares[name] for name in names or counted}
 
 
 def _ranked(values: Sequence[float], part: float) -> float | None:
@@ -318,71 +291,27 @@ def _ranked(values: Sequence[float], part: float) -> float | None:
 # -- texts -------------------------------------------------------------------------------------------------
 
 
-def label(suite: str, line: Line) -> str:
-    """Return the label of a study: plant and hidden names."""
-    names = " + ".join(sorted(line["truth"])) or "nothing"
-    strange = "outside: " if line["kind"] == "outside" else ""
-    if suite == LABORATORY:
-        condition = (", disturbed" if line["disturbed"] else ", clean") if line["kind"] == "nothing" else ""
-        return f"{strange}{names}{condition}"
-    if suite == FMU:
-        way = "".join(word[0] for word in line["way"].split("_"))
-        return f"{line['plant']} {way}{line['version']}: {line['size'] or line['kind']}: {names}"
-    return f"{line['plant']}: {strange if suite == FIELD else ''}{names}"
-
-
-def outcome_text(suite: str, line: Line) -> str:
-    """Return the outcome of a study with wrong names, in the laboratory also with rivals.
-
-    Of a study in parts: number of named effects, wrong names, verdict and grade.
-    """
-    if suite in IN_PARTS:
-        wrong = "".join(f", wrong: {name}" for name in sorted(wrong_parts(line)))
-        return f"{len(named_parts(line))} of {len(parts(line))}{wrong} ({line['verdict']}, {line.get('grade', '')})"
-    word = outcome(line)
-    instead = {"part": sorted(put_forward(line)), "wrong": sorted(put_forward(line))}
-    if suite == LABORATORY:
-        instead["ambiguous"] = line["rivals"]
-    return f"{word}: {(' | ' if word == 'ambiguous' else ' + ').join(instead[word])}" if word in instead else word
+def text_of(line: Line) -> str:
+    """Return plant, kind and hidden names of a study, its outcome, and the names put forward."""
+    about = [str(line[key]) for key in ("plant", "way", "version", "size", "kind") if line.get(key)]
+    found = " + ".join(sorted(put_forward(line)) or line["rivals"])
+    return f"{' '.join(about)}: {' + '.join(sorted(line['truth']))} → {outcome(line)}: {found}"
 
 
 def table(suite: str, lines: Sequence[Line]) -> str:
-    """Return a table of outcomes, then the figures with Wilson's 95 % intervals."""
-    if suite in IN_PARTS:
-        text = [f"{label(suite, line):70} {outcome_text(suite, line)}" for line in lines]
-        return "\n".join(text + figures(counts(suite, lines)))
-    rows: dict[tuple[Any, str], list[str]] = defaultdict(list)
+    """Return a table of outcomes by plant and kind and by hidden name, then the figures with 95 % intervals."""
+    rows: dict[str, list[str]] = defaultdict(list)
     for line in lines:
-        for row in _rows(suite, line):
-            rows[row].append(outcome_text(suite, line))
-    title, last = ("hidden", "  instead") if suite == LABORATORY else (suite, "")
-    text = [f"{title:48} {'n':>3}  {'  '.join(OUTCOMES)}{last}"]
-    for (_, name), outcomes in sorted(rows.items()):
-        words = Counter(text.partition(": ")[0] for text in outcomes)
-        cells = "  ".join(f"{words[c] or '·':>{len(c)}}" for c in OUTCOMES)
-        told = sorted(Counter(text for text in outcomes if ": " in text).items())
-        instead = ", ".join(f"{text.split(': ')[1]} ×{n}" for text, n in told) if last else ""
-        text.append(f"{name:48} {len(outcomes):3d}  {cells}  {instead}".rstrip())
-    if suite != FMU:
-        return "\n".join([*text, "", *figures(counts(suite, lines), 18 if suite == LABORATORY else 25)])
-    every = {"all": (tuple(counts(suite, ())), list(lines))} | groups(lines)
-    for name, (names, chosen) in every.items():
-        counted = counts(suite, chosen)
-        text += ["", name, *figures({figure: counted[figure] for figure in names})]
-    return "\n".join(text)
+        plant = " ".join(str(line[key]) for key in ("plant", "way") if line.get(key)) or "craft"
+        for row in (f"{plant}, {line['kind']} {line.get('size', '')}", *line["truth"]):
+            rows[row].append(outcome(line))
+    text = [f"{suite:48} {'n':>3}  {'  '.join(OUTCOMES)}"]
+    for name, words in sorted(rows.items()):
+        cells = "  ".join(f"{words.count(c) or '·':>{len(c)}}" for c in OUTCOMES)
+        text.append(f"{name:48} {len(words):3d}  {cells}")
+    return "\n".join([*text, "", *figures(counts(suite, lines))])
 
 
-def _rows(suite: str, line: Line) -> list[tuple[Any, str]]:
-    """Return the rows of the table, with what sorts them, in which a study counts."""
-    kind, plant = line["kind"], line.get("plant")
-    if suite == LABORATORY:
-        return [(KINDS.index(kind), label(suite, line))]
-    if suite == FMU:
-        return [("", f"{plant}, {kind}{', ' if line['size'] else ''}{line['size']}")]
-    strange = "outside: " if kind == "outside" else ""
-    return [("", f"{plant}, {kind}"), *((kind, f"{strange}{plant}: {name}") for name in line["truth"])]
-
-
-def figures(counted: Mapping[str, tuple[int, int]], width: int = 25) -> list[str]:
+def figures(counted: Counts) -> list[str]:
     """Return a line of text for each figure."""
-    return [f"{name:{width}}{share_text(hits, of)}" for name, (hits, of) in counted.items()]
+    return [f"{name:25}{share_text(hits, of)}" for name, (hits, of) in counted.items()]

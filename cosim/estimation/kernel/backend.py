@@ -14,10 +14,9 @@ from typing import Any
 
 from cosim.core.arrays import Array
 from cosim.core.errors import Fault, InputError, SimulationError, TimedOut
-from cosim.estimation.kernel.c_filter import CompiledKernel
 from cosim.estimation.kernel.generate import Generated, generate, generate_stepped
 from cosim.estimation.kernel.kernel import Data, Filtered, Kernel, Simulated, no_filtered, no_simulated
-from cosim.estimation.kernel.library_kernel import NAME, LibraryKernel, LibraryOf
+from cosim.estimation.kernel.library_kernel import NAME, CompiledKernel, LibraryKernel, LibraryOf
 from cosim.fmi.native.compiler import CompilerFailed, NoCompiler, cure
 from cosim.isolation.limits import LOADING
 from cosim.isolation.process import Remote, Worker
@@ -101,7 +100,7 @@ class RemoteLibraryKernel:
     """
 
     def __init__(self, generated: Generated, fmu: LibraryOf) -> None:
-        self.layout = generated.layout
+        self.layout, _ = generated
         self._recipe = generated, fmu._replace(path=fmu.path.resolve())
         self.limits = fmu.limits.model_copy(update={"load": fmu.limits.step or fmu.limits.load or LOADING})
         self.failures: list[SimulationError] = []
@@ -129,7 +128,7 @@ class RemoteLibraryKernel:
             _idle.put((worker, kernels))
 
     def call_all(self, method: str, passes: Sequence[tuple[Any, ...]], **options: Any) -> list[Any]:
-        """Call `run` or `simulate` for several logs, by halves if the FMU fails.
+        """Call a method for several logs or starts, by halves if the FMU fails.
 
         If a filter hangs, those of the other logs are not tried.
         """
@@ -141,9 +140,14 @@ class RemoteLibraryKernel:
                 parts = [self.call_all(method, part, **options) for part in (passes[:half], passes[half:])]
                 return [*chain.from_iterable(parts)]
             self.failures.append(error)
+            if method == "run":
+                return [no_filtered(self.layout, data, **options) for data, *_ in passes]
             if method == "simulate":
                 return [no_simulated(self.layout, data) for data, *_ in passes]
-            return [no_filtered(self.layout, data, **options) for data, *_ in passes]
+            return [
+                [no_simulated(self.layout, data.rows(row, row + length + 1)) for row in points[0]]
+                for data, _, points, length in passes
+            ]
 
     def run(self, *arguments: Any, **options: Any) -> Filtered:
         """Filter one log, as `Kernel.run`."""
@@ -158,16 +162,10 @@ class RemoteLibraryKernel:
     def simulate_from(
         self, data: Data, p: Array, points: tuple[Sequence[int], Any, Any], length: int
     ) -> list[Simulated]:
-        """Simulate rows of a log from each of some rows, as `Problem.simulate_from`; by halves if the FMU fails."""
-        try:
-            return list(self._call("simulate_from", [(data, p, points, length)])[0])
-        except SimulationError as error:
-            if half := len(points[0]) // 2:
-                (rows, states, memory), parts = points, (slice(half), slice(half, None))
-                halves = [(rows[part], states[part], memory[part]) for part in parts]
-                return [run for each in halves for run in self.simulate_from(data, p, each, length)]
-            self.failures.append(error)
-            return [no_simulated(self.layout, data.rows(row, row + length + 1)) for row in points[0]]
+        """Simulate rows of a log from each of some rows, as `Problem.simulate_from`."""
+        each = [tuple(part[k : k + 1] for part in points) for k in range(len(points[0]))]
+        runs = self.call_all("simulate_from", [(data, p, point, length) for point in each])
+        return [*chain.from_iterable(runs)]
 
     def responses(self, *arguments: Any) -> tuple[Array, Array]:
         """Return slopes by start states, and propagations, as `LibraryKernel.responses`."""

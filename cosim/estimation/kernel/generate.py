@@ -19,6 +19,7 @@ from typing import Any
 
 import numpy as np
 
+import cosim.fmi.native
 from cosim.core.units import unit_of_rate
 from cosim.estimation.kernel.kernel import CONSTANT, DEVIATION, DISTURBANCE, EARLIER, MEMORY, START, Layout
 from cosim.files.cache import fingerprint, load_or_make
@@ -31,29 +32,17 @@ from cosim.model.symbolic.symbols import SymbolicModel, number_guard
 from cosim.terms.code import FmuModel
 from cosim.terms.language import Force, RateTerm
 
-
-@dataclass(frozen=True)
-class Generated:
-    """Generated C functions and their layout.
-
-    Attributes:
-        source: `deriv(t, x, u, p, dx)`, `jacobian(t, x, u, p, A)`, `measure(t, x, u, p, y)`,
-            `measure_jacobian(t, x, u, p, C)`, `shape_all(h, u, memory, p, out)`; A and C refer to stochastic states.
-        stiff: True for a stiff integrator, with `state_jacobian(t, x, u, p, J)` of all states.
-        library: Number of states of an FMU's library, in co-simulation of outputs in their place, and number of its
-            outputs; None without a library.
-        unnamed: True if its free runs have unnamed terms.
-    """
-
-    layout: Layout
-    source: str
-    stiff: bool = False
-    library: tuple[int, int] | None = None
-    unnamed: bool = False
+Generated = tuple[Layout, str]  # layout, and C source of a filter
+FOLDER = Path(__file__).parent
+NATIVE = Path(cosim.fmi.native.__file__).parent
 
 
 def generate(model: Model, measured: Sequence[str], unnamed: bool = False, constant: Sequence[str] = ()) -> Generated:
-    """Return the C functions for a model and the outputs of a log.
+    """Return the layout and the C source of the filter for a model and the outputs of a log.
+
+    Generated functions are `deriv(t, x, u, p, dx)`, `jacobian(t, x, u, p, A)`, `measure(t, x, u, p, y)`,
+    `measure_jacobian(t, x, u, p, C)` and `shape_all(h, u, memory, p, out)`; A and C refer to stochastic states. A stiff
+    integrator has `state_jacobian(t, x, u, p, J)` of all states.
 
     Args:
         unnamed: Add terms outside the catalogue to each forced equation, for missing terms that no effect explains:
@@ -114,12 +103,13 @@ def generate(model: Model, measured: Sequence[str], unnamed: bool = False, const
         carrying=tuple(names.index(n) for n in carrying),
         rates=rates,
     )
-    counts = len(model.base_states), len(model.outputs)
-    return Generated(layout, text, stiff, counts if isinstance(model, FmuModel) else None)
+    counts = {"NB": len(model.base_states), "NL": len(model.outputs)} if isinstance(model, FmuModel) else {}
+    files = "library_calls.c", "library.c"
+    return layout, _source(layout, text, {"STIFF": int(stiff), **counts}, files if counts else (), "filter.c")
 
 
 def generate_stepped(model: FmuModel, measured: Sequence[str], unnamed: bool = False) -> Generated:
-    """Return the C functions for free runs of an FMU for co-simulation.
+    """Return the layout and the C source of the filter for free runs of an FMU for co-simulation.
 
     Random states are the deviations of the outputs in the row before, an unknown input of each output, the deviations
     of the outputs, which it drives, and the start states, which do not change.
@@ -171,7 +161,35 @@ def generate_stepped(model: FmuModel, measured: Sequence[str], unnamed: bool = F
         along=along,
         positions=tuple(measured.index(n) for n in places if n in measured),
     )
-    return Generated(layout, "\n".join(texts), library=(len(names), len(names)), unnamed=unnamed)
+    positions = layout.positions
+    run_places = [names.index(measured[k]) for k in positions]
+    sizes = {
+        **{"NB": len(names), "NL": len(names), "STIFF": 0, "UNNAMED": int(unnamed)},
+        **{"LASTING": layout.parameters.index(MEMORY), "POSITIONS": len(positions)},
+        **{"READ_PLACES": positions, "RUN_PLACES": run_places},
+    }
+    return layout, _source(layout, "\n".join(texts), sizes, ("library_calls.c", "stepped_library.c"), "free_run.c")
+
+
+def _source(layout: Layout, functions: str, more: Mapping[str, Any], before: Sequence[str], filter: str) -> str:
+    """Return the C source of a filter: sizes, generated functions and hand-written code.
+
+    Args:
+        more: Further sizes and places.
+        before: Files before the generated functions.
+        filter: File with the filter.
+    """
+    groups = {"NX": layout.states, "NU": layout.inputs, "NY": layout.outputs, "NS": layout.stochastic}
+    sizes: dict[str, Any] = {name: len(group) for name, group in groups.items()}
+    sizes |= {"NM": layout.memory, "DELAY": f"({layout.delay})", "STEPPED": int(layout.is_free_run)}
+    sizes |= {"STOCHASTIC": layout.stochastic, **more}
+    texts = {n: v if isinstance(v, (int, str)) else f"{{{', '.join(map(str, v or (0,)))}}}" for n, v in sizes.items()}
+    head = "".join(f"#define {name} {text}\n" for name, text in texts.items())
+    first, last = (
+        [path.read_text(encoding="utf-8") for path in paths]
+        for paths in ([FOLDER / name for name in before], [NATIVE / "step.c", FOLDER / "lags.c", FOLDER / filter])
+    )
+    return "\n".join(("#include <math.h>", head, *first, functions, *last))
 
 
 def _library_inputs(body: Body) -> list[Any]:
@@ -217,7 +235,7 @@ def _nameless(
 
 def _shape_functions() -> str:
     """Return the C functions of local shapes."""
-    return f"#define KNOTS {KNOTS}\n" + Path(__file__).with_name("local_shape.c").read_text(encoding="utf-8")
+    return f"#define KNOTS {KNOTS}\n" + (FOLDER / "local_shape.c").read_text(encoding="utf-8")
 
 
 def _stages(shapes: Sequence[LocalShape]) -> list[dict[Any, Any]]:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Literal
 
@@ -149,6 +149,49 @@ def spread_of_base(p: Parameter, value: float, tolerance: float) -> float:
 
 def _scale(p: Parameter, value: float) -> float:
     return abs(value) or p.typical or abs(float(p.default)) or 1.0
+
+
+# Parameters with a separate value for each group of logs. In the filter, such a parameter is a constant state θ. A
+# known value of a group starts with variance 0, an unknown one at the expected value with the expected spread.
+
+
+def own(name: str, group: str) -> str:
+    """Return the name of a parameter in a group."""
+    return f"{name}@{group}"
+
+
+def spread(name: str, group: str) -> str:
+    """Return the name of the standard deviation of a group's value; a missing entry means a known value."""
+    return f"spread of {name}@{group}"
+
+
+def own_parameters(
+    subject: Subject,
+    names: Sequence[str],
+    groups: Sequence[str],
+    values: NamedValues,
+    tolerance: NamedValues,
+) -> Iterator[Free]:
+    """Yield each parameter once per group of logs, with a prior around its value.
+
+    Args:
+        tolerance: Parameter → relative tolerance, by default that of the model.
+    """
+    for name in names:
+        p, value = subject.declared[name], values[name]
+        share = tolerance.get(name, p.tolerance)
+        sigma = usual_size(p) if share is None or p.neutral is not None else spread_of_base(p, value, share)
+        for group in dict.fromkeys(groups):
+            prior = (value, sigma)
+            yield Free(own(name, group), *p.bounds, min(usual_size(p), sigma), prior, parameter=name, group=group)
+
+
+def drop_own_parameters(candidates: Sequence[Candidate], names: Sequence[str]) -> Iterator[Candidate]:
+    """Yield the candidates with parameters per log removed, since these are free in every hypothesis."""
+    for c in candidates:
+        if free := tuple(f for f in c.free if f.name not in names):
+            starts = tuple({n: v for n, v in s.items() if n not in names} for s in c.starts)
+            yield replace(c, free=free, starts=starts)
 
 
 def kind_within(c: Candidate, subject: Subject) -> Kind:

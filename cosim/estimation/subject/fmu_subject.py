@@ -220,11 +220,11 @@ class FmuSubject(ModelSubject):
         known = {*(p.name for p in code.parameters), *model.variables.values()}
         path, kept = new_fmu(folder), {n: v for n, v in values.items() if n in known}
         try:
-            wrapped = wrap(self.structure.fmu, code, kept, path, substep=self.rate / self.substeps(self.rate))
+            left_out = wrap(self.structure.fmu, code, kept, path, substep=self.rate / self.substeps(self.rate))
         except (CannotWrap, NoCompiler, CompilerFailed) as error:
             self.undelivered = f"There is no refined FMU: {error}"
             return None
-        self.fmu, self.missing_platforms = path, tuple(wrapped.left_out)
+        self.fmu, self.missing_platforms = path, tuple(left_out)
         return path
 
     def write(self, scratch: Path, folder: Path, name: str) -> Sequence[Path]:

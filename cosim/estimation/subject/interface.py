@@ -17,7 +17,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal, Protocol, Self, runtime_checkable
 
-from cosim.core.arrays import Array, NamedValues, Rows
+from cosim.core.arrays import Array, NamedArrays, NamedValues, Rows
 from cosim.estimation.kernel.kernel import Data, Kernel
 from cosim.estimation.subject.candidates import Candidate
 from cosim.fmi.building.refined import NEAREST, REFINED
@@ -29,7 +29,7 @@ from cosim.model.traits import Traits
 from cosim.residuals.drive import MODULES
 from cosim.residuals.windows import Replay
 
-Predict = Callable[[Mapping[str, Rows]], Mapping[str, Array]]  # one-step predictions of outputs without some readings
+Predict = Callable[[Mapping[str, Rows]], NamedArrays]  # one-step predictions of outputs without some readings
 
 
 @dataclass(frozen=True, eq=False)

@@ -30,10 +30,14 @@ from cosim.model.model import Effect, Model, overrides
 from cosim.model.quantities import parameters_of
 from cosim.model.symbolic.symbols import symbolic
 from cosim.model.traits import Traits
-from cosim.residuals.drive import Drive, DriveApart
+from cosim.residuals.drive import drive_in
 from cosim.residuals.windows import Replay, windows
 
 FILES = {"refined": REFINED, "nearest": NEAREST}
+OF_MODEL = (  # attributes that a subject takes from its model
+    *("title", "inputs", "outputs", "states", "horizon", "rate", "parameters", "calibrated", "sensors"),
+    *("sensor_variance", "start_variance", "excursion", "told_apart_by", "drawn_against"),
+)
 
 
 class ModelSubject(Subject):
@@ -48,17 +52,12 @@ class ModelSubject(Subject):
         model = loaded.model
         self.loaded, self.model = loaded, model
         self.fmu: Path | None = None
-        self.title, self.source, self.display = model.title, loaded.source, DISPLAY
-        self.inputs, self.outputs, self.states = model.inputs, model.outputs, model.states
-        self.horizon, self.rate = model.horizon, model.rate
-        self.parameters, self.calibrated, self.sensors = model.parameters, model.calibrated, model.sensors
+        vars(self).update({name: getattr(model, name) for name in OF_MODEL})
+        self.source, self.display = loaded.source, DISPLAY
         own = {p.name for p in model.parameters}
         self.candidate_parameters = {n: p for n, p in model.declared.items() if n not in own}
         self.values = {**neutral_values(model), **loaded.values}
-        self.sensor_variance, self.start_variance = model.sensor_variance, model.start_variance
         self.present = frozenset(e.name for e in model.awake)
-        self.excursion = model.excursion
-        self.told_apart_by, self.drawn_against = model.told_apart_by, model.drawn_against
         effects = (*shaping_effects(model.catalogue), *(kind for kind in model.sensors if kind.depends_on_past()))
         self.inestimable = frozenset(f"{e.name}.{p.name}" for e in effects for p in parameters_of(e))
 
@@ -205,9 +204,8 @@ class FmuReplayer(Replayer):
         self, log: Log, data: Data, values: NamedValues, starts: Mapping[float, Mapping[int, Start]]
     ) -> Generator[Replay, None, None]:
         """Yield one replay for each horizon, with one load of the FMU."""
-        worker, limits = self.place.worker, self.place.limits
-        remote = worker and DriveApart(worker, log, self.fmu, interpolated=data.interpolated, limits=limits)
-        with remote or Drive(log, self.fmu, interpolated=data.interpolated) as drive:
+        limits, interpolated = self.place.limits, data.interpolated
+        with drive_in(self.place.worker, log, self.fmu, limits=limits, interpolated=interpolated) as drive:
             for horizon, begins in starts.items():
                 numbers = {k: {**self.parameters, **start_values(self.model, start)} for k, start in begins.items()}
                 memories = {k: delayed_commands(self.model, values, log, data, k) for k in begins}

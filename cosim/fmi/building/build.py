@@ -19,7 +19,7 @@ from cosim.files.files import FilePath, check_folder, named_path
 from cosim.files.yaml_file import YamlFile
 from cosim.fmi.building.declared import ModelText
 from cosim.fmi.building.file import LoadedModel, load_model
-from cosim.fmi.building.refined import NoNearest, names_refine, refined_file
+from cosim.fmi.building.refined import NoNearest, refined_file
 from cosim.fmi.building.substep import with_substep
 from cosim.fmi.native.compiler import PLATFORMS, CompilerFailed, NoCompiler, commands
 from cosim.fmi.ports import Value
@@ -76,8 +76,7 @@ def build(
     if entry is not None and entry.built and model in (None, entry.name):
         recipes, places = {}, dict(entry.built)
     else:
-        every = {} if entry is None else entry.beside
-        recipes = {PLANT: loaded.recipe()}
+        recipes, every = {PLANT: loaded.recipe()}, entry.beside if entry else {}
         places = {name: place for name, place in every.items() if name in starts or is_model(loaded.source)}
     for name, place in places.items():
         recipe: Recipe = resolve(place)()
@@ -119,8 +118,7 @@ def build_native(
     """
     folder = named_path(folder)
     check_folder(folder)
-    known = f"(known: {', '.join(PLATFORMS)})"
-    unknown = [name for name in platforms if name not in PLATFORMS]
+    known, unknown = f"(known: {', '.join(PLATFORMS)})", [name for name in platforms if name not in PLATFORMS]
     texts = [f'no platform "{name}"{did_you_mean(name, PLATFORMS)} {known}' for name in unknown]
     refuse(Fault(Path("--platforms"), 0, 0, text) for text in texts)
     if fmi not in SUFFIX:
@@ -164,7 +162,7 @@ def _natives(loaded: LoadedModel, starts: Mapping[str, Mapping[str, Value]]) -> 
     An expression without C equivalent is reported at its line.
     """
     from cosim.fmi.native.package import native_model
-    from cosim.fmi.native.printing import UnprintableModel
+    from cosim.model.symbolic.trace import UnprintableModel
 
     try:
         yield "plant", native_model(loaded.model, loaded.recipe(), f"{type(loaded.model).__name__}Plant")
@@ -172,16 +170,16 @@ def _natives(loaded: LoadedModel, starts: Mapping[str, Mapping[str, Value]]) -> 
         error: Exception = raised
         if isinstance(raised, RecursionError):  # sympy 1.14, for some nested minima and maxima
             error = UnprintableModel("the symbolic derivatives of its equations are too large")
-        cure = "use functions and branches of m in its equations, or build it without --native"
+        doing, cure = "cannot be printed as C", "use functions and branches of m in its equations, or omit --native"
         file = loaded.source.rpartition(":")[0]
+        text = ModelText(Path(file))
         if not file:
-            fault = Fault(Path(loaded.source), 0, 0, f"cannot be printed as C: {error}; {cure}")
+            fault = Fault(Path(loaded.source), 0, 0, f"{doing}: {error}; {cure}")
         elif isinstance(error, UnprintableModel):
             owner, hook = error.owner or type(loaded.model), error.hook if error.owner else "equations"
-            message = f"cannot be printed as C: {error}; {error.cure or cure}"
-            fault = ModelText(Path(file)).fault(owner, hook, message)
+            fault = text.fault(owner, hook, f"{doing}: {error}; {error.cure or cure}")
         else:
-            fault = ModelText(Path(file)).convert_error(error, "cannot be printed as C")
+            fault = text.convert_error(error, doing)
         raise InputError([fault]) from raised
     for name, recipe in model_entry(loaded.source).native.items() if is_model(loaded.source) else ():
         yield name, resolve(recipe)(starts.get(f"{name}.fmu"))
@@ -219,12 +217,10 @@ def designed_model(
     if text is None:
         registered = "".join(f"{name}, " for name in sorted(models()) if name != BASE)
         raise InputError.at(Path("--model"), f"is missing; give {registered}a model.yaml, or FILE.py:CLASS")
-    file: str | Path = text
-    if nearest or names_refine(Path(text)):
-        try:
-            file = refined_file(Path(text), nearest=nearest)
-        except NoNearest as error:
-            raise InputError.at(Path(text), str(error)) from None
+    try:
+        file = refined_file(Path(text), nearest=nearest)
+    except NoNearest as error:
+        raise InputError.at(Path(text), str(error)) from None
     loaded, _ = with_substep(load_model(str(file), Path()))
     if design is None:
         return loaded, {}

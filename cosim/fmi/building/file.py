@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import linecache
 import os.path
-import re
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import ModuleType
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, ValidatorFunctionWrapHandler, WrapValidator
 
@@ -24,16 +25,15 @@ from cosim.files.files import write_text
 from cosim.files.kinds import check_form, refuse_other
 from cosim.files.yaml_file import UNIT_OF_KEY, YamlFile
 from cosim.fmi.building.declared import ModelText, make_model
-from cosim.fmi.building.execution import skipped_files
-from cosim.fmi.building.refined import names_refine, refined_file
+from cosim.fmi.building.refined import refined_file
 from cosim.model.model import Model
 from cosim.terms.language import Term
 
 if TYPE_CHECKING:
     from cosim.fmi.fmu_build import Recipe
 
+K = TypeVar("K")
 SUBCLASS = "a model must be a subclass of cosim.model.Model"
-ALLOWED = f"give {BASE}, a model.yaml, or FILE.py:Class of your own model"
 
 
 def _number_or_switch(value: Any, inner: ValidatorFunctionWrapHandler) -> Any:
@@ -144,16 +144,14 @@ def load_model(text: str, folder: Path, named_in: YamlFile | None = None) -> Loa
                 raise
             raise refusal(folder, *(f.message for f in error.faults)) from None
     file, own, _ = text.rpartition(":") if ".py:" in text else (text, "", "")
-    path = folder / file
-    if named_in and not path.is_file():
-        raise refusal(path, f"no such model: {text}; {ALLOWED}")
+    path, registered = folder / file, registered_names(MODEL_GROUP)
+    allowed = f"allowed: {', '.join(registered)}, a model.yaml, or FILE.py:Class of your own model"
+    if not path.exists() or (named_in and not path.is_file()):
+        raise refusal(path, f'no model "{text}"{did_you_mean(text, registered)}; {allowed}')
     if own:
-        return LoadedModel(own_model(text, folder), _absolute(text, folder))
+        return LoadedModel(own_model(text, folder), f"{path.resolve()}:{text.rpartition(':')[2]}")
     if path.suffix == ".py":
-        kind = (ModelText(path).classes or ["Class"])[-1]
-        raise refusal(path, f"names no class: write {text}:{kind}; {ALLOWED}")
-    if not path.exists():
-        raise InputError.at(path, f"no such file; {ALLOWED}")
+        raise refusal(path, f"names no class: write {text}:{(ModelText(path).classes or ['Class'])[-1]}; {allowed}")
     return read_model(path)
 
 
@@ -168,24 +166,17 @@ def read_model(path: Path, readers: tuple[Path, ...] = ()) -> LoadedModel:
     kind = kind_by_keys(yaml.root)
     refuse_other(path, kind, MODEL)
     content, faults = yaml.partly(ModelFile, "model")
-    file = path.parent / content.model.rpartition(":")[0]
     try:
-        if is_model(content.model):
-            model = named_model(content.model)
-        elif re.fullmatch(r".+\.py:\w+", content.model) and file.is_file():
-            model = own_model(content.model, path.parent)
-        else:
-            registered = registered_names(MODEL_GROUP)
-            message = f'no model "{content.model}"{did_you_mean(content.model, registered)}'
-            if re.fullmatch(r".+\.py:\w+", content.model):
-                message = f"no such file: {file}"
-            names = [*(name for name in registered if name != BASE), "or FILE.py:Class of a model of your own"]
-            raise InputError([yaml.fault(("model",), f"{message}; allowed: {', '.join(names)}")])
+        if (path.parent / content.model).is_file():
+            reason = f"{content.model} is a file; name a registered model or FILE.py:Class"
+            raise InputError([yaml.fault(("model",), reason)])
+        base = load_model(content.model, path.parent, yaml)
     except InputError as error:
         raise InputError([*faults, *error.faults]) from None
     except NotExecuted:
         refuse(faults)
         raise
+    model = base.model
     for section, declared in (("parameters", model.declared), ("sensors", model.sensor_parameters)):
         units, is_sensor = {n: p.unit for n, p in declared.items()}, section == "sensors"
         content, wrong = yaml.in_units(content, section, units, difference=is_sensor)
@@ -203,7 +194,7 @@ def read_model(path: Path, readers: tuple[Path, ...] = ()) -> LoadedModel:
         other = path.parent / name
         at = ("parameters_from",)
         try:
-            other = refined_file(other) if names_refine(other) else other
+            other = refined_file(other)
             if not other.is_file():
                 reason = f"no such model file: {name}; name a model.yaml or the folder of a refine"
                 raise InputError([yaml.fault(at, reason)])
@@ -219,35 +210,27 @@ def read_model(path: Path, readers: tuple[Path, ...] = ()) -> LoadedModel:
             faults += error.faults
     refuse(faults)
     values |= content.parameters
-    source = model_entry(content.model).name if is_model(content.model) else _absolute(content.model, path.parent)
     model = model.with_values(values).with_substep(content.substep, content.integrator)
-    return LoadedModel(model, source, values, content.sensors)
-
-
-def _absolute(text: str, folder: Path) -> str:
-    """Return `file.py:Class` with an absolute path, for model files in other folders."""
-    file, _, name = text.rpartition(":")
-    return f"{(folder / file).resolve()}:{name}"
+    return LoadedModel(model, base.source, values, content.sensors)
 
 
 def own_model(text: str, folder: Path) -> Model:
     """Return the model `Class` of `file.py`; raise InputError with all faults."""
     file, _, name = text.rpartition(":")
     source, module = _execute((folder / file).resolve())
-    kind: Any = getattr(module, name, None)
-    if not (isinstance(kind, type) and issubclass(kind, Model)):
-        names = _model_classes(module)
-        classes = f" (models here: {', '.join(names)})" if names else ""
-        message = f'has no model class "{name}"{did_you_mean(name, names)}{classes}; {SUBCLASS}'
+    kinds = _classes(module, Model)
+    if name not in kinds:
+        classes = f" (models here: {', '.join(kinds)})" if kinds else ""
+        message = f'has no model class "{name}"{did_you_mean(name, kinds)}{classes}; {SUBCLASS}'
         raise InputError.at(source.path, message)
-    return make_model(kind, source)
+    return make_model(kinds[name], source)
 
 
 def only_model(path: Path) -> Model:
     """Return the only model of `file.py`. Raise InputError for faults, and unless the file has exactly one model."""
     source, module = _execute(path.resolve())
     kinds: dict[Any, str] = {}  # name by class: a class with two names counts once
-    for name, kind in _model_classes(module).items():
+    for name, kind in _classes(module, Model).items():
         if kind.__module__ == module.__name__:  # without imported classes
             kinds.setdefault(kind, name)
     if not kinds:
@@ -265,13 +248,28 @@ def own_terms(path: Path) -> list[type[Term]]:
         InputError: The file has faults, or no terms.
     """
     _, module = _execute(path.resolve())
-    terms = [v for v in vars(module).values() if isinstance(v, type) and issubclass(v, Term)]
-    own = [v for v in terms if v.__module__ == module.__name__]
+    own = [v for v in _classes(module, Term).values() if v.__module__ == module.__name__]
     if not own:
-        raise InputError.at(
-            path, "has no term; write a subclass of cosim.terms.Force, InputTerm or RateTerm with a `kind`"
-        )
+        reason = "has no term; write a subclass of cosim.terms.Force, InputTerm or RateTerm with a `kind`"
+        raise InputError.at(path, reason)
     return own
+
+
+skipped_files: ContextVar[list[Path] | None] = ContextVar("files of Python that are not executed", default=None)
+
+
+@contextmanager
+def without_execution() -> Iterator[list[Path]]:
+    """Prevent the execution of model files; yield skipped files.
+
+    A model in such a file raises NotExecuted.
+    """
+    skipped: list[Path] = []
+    token = skipped_files.set(skipped)
+    try:
+        yield skipped
+    finally:
+        skipped_files.reset(token)
 
 
 def _execute(path: Path) -> tuple[ModelText, ModuleType]:
@@ -304,9 +302,9 @@ def _execute(path: Path) -> tuple[ModelText, ModuleType]:
     return source, module
 
 
-def _model_classes(module: ModuleType) -> dict[str, type[Model]]:
-    """Return the classes in a module that derive from `Model`, by name."""
-    return {n: v for n, v in vars(module).items() if isinstance(v, type) and issubclass(v, Model) and v is not Model}
+def _classes(module: ModuleType, base: type[K]) -> dict[str, type[K]]:
+    """Return the classes in a module that derive from a base class, by name."""
+    return {n: v for n, v in vars(module).items() if isinstance(v, type) and issubclass(v, base) and v is not base}
 
 
 def write_model(path: Path, loaded: LoadedModel, folder: Path | None = None) -> None:

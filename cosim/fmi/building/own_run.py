@@ -38,19 +38,16 @@ def moments(
     Args:
         ignored: Output → rows with unused readings.
     """
-    model, shown = stepper.model, shown_states(stepper.model)
-    commands = command_rows(model, log)
-    readings = {}
+    model, shown, readings = stepper.model, shown_states(stepper.model), {}
     for place, name in enumerate(s.name for s in model.states):
         if name in shown and name in log.outputs:
             column = log.outputs[name].copy()
             column[(ignored or {}).get(name, [])] = np.nan
             readings[place] = column.tolist()
-    time, longest = log.time.tolist(), MAX_GAP * log.step
+    commands, time, longest = command_rows(model, log), log.time.tolist(), MAX_GAP * log.step
     ahead = stepper.start(time[0])
     for k, t in enumerate(time):
-        ahead = replace(ahead, t=t)
-        state = list(ahead.state)
+        ahead, state = replace(ahead, t=t), list(ahead.state)
         for place, column in readings.items():
             if math.isfinite(column[k]):
                 state[place] = column[k]

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
@@ -21,13 +22,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.core.errors import InputError
-from cosim.core.linear_algebra import eigenvalues
 from cosim.core.messages import Note
 from cosim.core.registry import is_model
 from cosim.core.text import amount, plain
 from cosim.files.artefact import Checking
 from cosim.fmi.building.declared import ModelText
-from cosim.fmi.building.file import LoadedModel, load_model, only_model, read_model
+from cosim.fmi.building.file import LoadedModel, load_model, only_model
 from cosim.fmi.building.own_run import RunLog, command_rows, moments
 from cosim.model.integrate import Stepper, substeps
 from cosim.model.model import AUTO, RK4, STIFF, Model, Values
@@ -100,7 +100,15 @@ def with_substep(loaded: LoadedModel, logs: Sequence[RunLog] = ()) -> tuple[Load
         substep, integrator = fastest.stiff_substep(), STIFF
         note = Note(f"integrated by the implicit method instead of RK4, in substeps of {_ms(substep)}: {mode}")
     elif count > MOST_SUBSTEPS:
-        raise InputError([text.fault(type(model), "", _stiff(model, mode))])
+        name, longest = type(model).__name__, _ms(MAX_DEFAULT / mode.speed)
+        reason = f"{name} is stiff: {mode}, for which RK4 needs more than {MOST_SUBSTEPS} substeps per step of the rate"
+        cure = f"replace the equation of {mode.state} by an algebraic one, or set a substep of at most {longest}"
+        if mode.eigenvalue.real > 0.0:
+            reason = f"{name} is unstable: {mode} that grows"
+            cure = "check its parameters, start values and the units of the log"
+        elif model.integrator == RK4 and mode.eigenvalue.real * model.rate <= -DEAD:
+            cure = "set integrator = 'stiff', or omit it"
+        raise InputError([text.fault(type(model), "", f"{reason}; {cure}")])
     else:
         substep = model.rate / count
         note = Note(f"integrated in substeps of {_ms(substep)} instead of the default {_ms(Model.substep)}: {mode}")
@@ -124,21 +132,20 @@ class _Fastest:
 
     def along(self, log: RunLog) -> StateMode:
         """Return the fastest mode of the model at points of a log."""
-        rows = min(len(log.time), MAX_ROWS)
-        commands, every = command_rows(self.model, log), max(1, rows // POINTS)
-        stepper, fastest = Stepper(self.model), self.at_start()
-        for k, _, moment in islice(moments(stepper, log), 0, rows):
+        every = max(1, min(len(log.time), MAX_ROWS) // POINTS)
+        commands, model = command_rows(self.model, log), self.model
+        stepper, fastest = Stepper(model), self.at_start()
+        for k, _, moment in islice(moments(stepper, log), 0, MAX_ROWS):
             if k % every:
                 continue
-            place = f"at t = {moment.t:.6g} s of {log.path.name}"
-            mode = self._at(moment.state, commands[k], moment.t, place)
+            mode = self._at(moment.state, commands[k], moment.t, f"at t = {moment.t:.6g} s of {log.path.name}")
             if not mode.speed <= fastest.speed:
                 fastest = mode
-            if self.model.rate * fastest.speed <= MOST_SUBSTEPS * MAX_CHOSEN:
+            if model.rate * fastest.speed <= MOST_SUBSTEPS * MAX_CHOSEN:
                 accurate = MAX_CHOSEN / fastest.speed if fastest.speed > 0.0 else math.inf
-                stepper.model = self.model.with_substep(min(self.model.substep, accurate), RK4)
-            elif self.model.integrator != RK4 and self.die_within_a_row():
-                stepper.model = self.model.with_substep(self.stiff_substep(), STIFF)
+                stepper.model = model.with_substep(min(model.substep, accurate), RK4)
+            elif model.integrator != RK4 and self.die_within_a_row():
+                stepper.model = model.with_substep(self.stiff_substep(), STIFF)
             else:
                 break  # The run would take too many substeps.
         return fastest
@@ -161,30 +168,17 @@ class _Fastest:
         """
         from scipy.linalg import eig
 
-        try:
-            A = self.linearized(state, command, t).A if self.linearized else np.zeros((0, 0))
-        except (ArithmeticError, ValueError):  # no derivative at this point
-            A = np.zeros((0, 0))
-        values = eigenvalues(A)
-        if not values.size:
+        A = np.zeros((0, 0))
+        if self.linearized:
+            with suppress(ArithmeticError, ValueError):  # no derivative at this point
+                A = self.linearized(state, command, t).A
+        if not A.size or not np.isfinite(A).all():
             return StateMode(0.0, "", place)
-        self.eigenvalues.append(values)
-        value = complex(values[np.argmax(np.abs(values))])
         values, rows, columns = eig(A, left=True, right=True)
-        k = int(np.argmin(np.abs(values - value)))
-        return StateMode(value, self.model.states[int(np.argmax(np.abs(rows[:, k] * columns[:, k])))].name, place)
-
-
-def _stiff(model: Model, mode: StateMode) -> str:
-    """Return the message for a mode too fast for the model's rate."""
-    name = type(model).__name__
-    if mode.eigenvalue.real > 0.0:
-        return f"{name} is unstable: {mode} that grows; check its parameters, start values and the units of the log"
-    stiff = f"{name} is stiff: {mode}, for which RK4 needs more than {MOST_SUBSTEPS} substeps per communication step of"
-    if model.integrator == RK4 and mode.eigenvalue.real * model.rate <= -DEAD:
-        return f"{stiff} {_ms(model.rate)}; set integrator = 'stiff', or omit it"
-    cure = f"replace the equation of {mode.state} by an algebraic one, or set a substep of at most"
-    return f"{stiff} {_ms(model.rate)}; {cure} {_ms(MAX_DEFAULT / mode.speed)}, which is slow"
+        self.eigenvalues.append(values)
+        k = int(np.argmax(np.abs(values)))
+        of_state = int(np.argmax(np.abs(rows[:, k] * columns[:, k])))
+        return StateMode(complex(values[k]), self.model.states[of_state].name, place)
 
 
 def _ms(seconds: float) -> str:
@@ -198,13 +192,8 @@ def check_model(path: Path, checking: Checking) -> list[str]:
     The class is `FILE.py:Class`, or the only class in FILE.py.
     """
     text = str(path)
-    if not path.suffix.startswith(".py"):
-        return substep_notes(read_model(path))
-    if text.endswith(".py:"):
-        only_model(Path(text.removesuffix(":")))
-        return []
-    if not path.suffix.startswith(".py:"):
-        text = f"{path}:{type(only_model(path)).__name__}"
+    if path.suffix == ".py":
+        text += f":{type(only_model(path)).__name__}"
     return substep_notes(load_model(text, Path()))
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import random
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 from types import SimpleNamespace
@@ -16,14 +16,14 @@ from typing import Any
 
 import numpy as np
 
-from cosim.fmi.native.printing import ModelPrinter, UnprintableModel
+from cosim.fmi.native.printing import ModelPrinter
 from cosim.model.integrate import Stepper
 from cosim.model.model import Effect, Model, overrides
 from cosim.model.namespaces import SCALAR
 from cosim.model.quantities import Parameter, parameters_of
 from cosim.model.symbolic.blocks import function
 from cosim.model.symbolic.languages import Python
-from cosim.model.symbolic.trace import Trace
+from cosim.model.symbolic.trace import Trace, UnprintableModel
 
 TOLERANCE = 1e-9  # of max(1, |value|)
 POINTS, TRIES = 6, 18  # points per case, and draws if Python gives no number
@@ -35,8 +35,8 @@ NOT_NEUTRAL = (
     "the effect changes the equations at its neutral value, or the equations test for effects: in C a dormant "
     "effect is evaluated at its neutral value"
 )
-Case = tuple[tuple[Any, ...], Mapping[str, bool]]  # active effects, values of the model's Boolean parameters
-Difference = tuple[str, str, float, float]  # quantity, method of the model, values by Python and by generated code
+Values = list[tuple[str, str, float]]  # quantity, method of the model, value
+Difference = tuple[str, str, float, float]  # the same, with the values by Python and by generated code
 
 
 @dataclass(frozen=True)
@@ -52,12 +52,13 @@ class EvaluationPoint:
 
 
 class GeneratedCode:
-    """Generated equations of a model, as Python functions in place of C."""
+    """Generated equations of a model for some values of its Boolean parameters, as Python functions in place of C."""
 
-    def __init__(self, trace: Trace) -> None:
-        self.names = list(trace.s.parameters)
-        self.flags = [e.name for e in trace.effects]
-        places = trace.places({name: f"p[{k}]" for k, name in enumerate(self.names)})
+    def __init__(self, trace: Trace, switches: Mapping[str, bool]) -> None:
+        self.switches = switches
+        self._parameters = list(trace.s.parameters)
+        self._effects = [e.name for e in trace.effects]
+        places = trace.places({name: f"p[{k}]" for k, name in enumerate(self._parameters)})
         functions = (
             ("derivatives", "t x u p", trace.blocks, trace.derivative),
             ("outputs", "t x u p", trace.blocks, trace.outputs),
@@ -65,21 +66,23 @@ class GeneratedCode:
             ("remember", "t memory p", (), trace.started),
         )
         # functions of numpy give NaN or infinity, as in C, where those of `math` raise exceptions
-        self._functions: dict[str, Any] = {"math": SimpleNamespace(**{**vars(math), **vars(np)})}
-        self._signatures = {name: (arguments.split(), len(results)) for name, arguments, _, results in functions}
+        names: dict[str, Any] = {"math": SimpleNamespace(**{**vars(math), **vars(np)})}
+        self._functions: list[tuple[Any, list[str], int]] = []
         for name, arguments, blocks, results in functions:
-            exec(function(Python(), name, arguments, blocks, results, places), self._functions)
+            exec(function(Python(), name, arguments, blocks, results, places), names)
+            self._functions.append((names[name], arguments.split(), len(results)))
 
-    def values(self, name: str, at: EvaluationPoint, awake: set[str]) -> list[float]:
-        """Return the values of the function `name` at a point, with the effects in `awake` active."""
-        arguments, size = self._signatures[name]
-        numbers = {**vars(at), "p": [at.values[n] for n in self.names]}
-        ordered = (numbers[argument] for argument in arguments)
-        cells = (np.float64(v) if isinstance(v, float) else [*map(np.float64, v)] for v in ordered)
-        out = [math.nan] * size
-        with np.errstate(all="ignore"):
-            self._functions[name](*cells, [n in awake for n in self.flags], out)
-        return [float(v) for v in out]
+    def values(self, at: EvaluationPoint, awake: set[str]) -> list[float]:
+        """Return the values of all functions at a point, with the effects in `awake` active."""
+        numbers = {**vars(at), "p": [at.values[n] for n in self._parameters]}
+        values: list[float] = []
+        for call, arguments, size in self._functions:
+            out, ordered = [math.nan] * size, (numbers[argument] for argument in arguments)
+            cells = [np.float64(v) if isinstance(v, float) else [*map(np.float64, v)] for v in ordered]
+            with np.errstate(all="ignore"):
+                call(*cells, [n in awake for n in self._effects], out)
+            values += map(float, out)
+        return values
 
 
 class Check:
@@ -92,68 +95,63 @@ class Check:
     def run(self) -> None:
         """Compare in every case; raise UnprintableModel with the first difference and its remedy."""
         kinds, switches = self.model.catalogue, self.printer.switches
-        variants = [GeneratedCode(trace) for trace in self.printer.variants]
-        flags = list(product((False, True), repeat=len(switches)))
+        flags = (dict(zip(switches, f, strict=True)) for f in product((False, True), repeat=len(switches)))
+        variants = [GeneratedCode(*of) for of in zip(self.printer.variants, flags, strict=True)]
         for awake in dict.fromkeys([(), *((kind,) for kind in kinds), kinds]):
-            for code, position in zip(variants, flags, strict=True):
-                case = (awake, dict(zip(switches, position, strict=True)))
-                if difference := self.first_difference(case, code):
-                    raise self.refusal(difference, case, code)
+            for code in variants:
+                if difference := self.first_difference(awake, code):
+                    raise self.refusal(difference, awake, code)
 
-    def first_difference(self, case: Case, code: GeneratedCode) -> Difference | None:
-        """Return the first difference between Python and generated code in a case; None without one."""
-        count = 0
+    def first_difference(self, awake: tuple[Any, ...], code: GeneratedCode) -> Difference | None:
+        """Return the first difference between Python and generated code with some active effects; None without one."""
+        count, names = 0, {e.name for e in awake}
         for k in range(TRIES):
-            at = self.draw_point(case, k)
+            at = self.draw_point(awake, code, k)
             try:
-                pairs = [(quantity, hook, float(a), b) for quantity, hook, a, b in self.compare(case, at, code)]
+                python = [(quantity, hook, float(value)) for quantity, hook, value in self.evaluate(names, at)]
             except (ArithmeticError, ValueError, TypeError):  # The model has no real value at this point.
                 continue
-            for quantity, hook, python, other in pairs:
-                if math.isfinite(python) and not abs(python - other) <= TOLERANCE * max(1.0, abs(python)):
-                    return quantity, hook, python, other
+            for (quantity, hook, value), other in zip(python, code.values(at, names), strict=True):
+                if math.isfinite(value) and not abs(value - other) <= TOLERANCE * max(1.0, abs(value)):
+                    return quantity, hook, value, other
             count += 1
             if count == POINTS:
                 break
         return None
 
-    def compare(self, case: Case, at: EvaluationPoint, code: GeneratedCode) -> Iterator[Difference]:
-        """Yield each compared quantity: derivatives, outputs, shaped commands, memory of effects (also initial).
+    def evaluate(self, names: set[str], at: EvaluationPoint) -> Values:
+        """Return derivatives, outputs, shaped commands, and memory of effects after a substep and at the start.
 
-        A delay is skipped because it has hand-written C code.
+        The memory of a dormant effect is NaN. A delay is skipped because it has hand-written C code.
         """
-        names = {e.name for e in case[0]}
         base = {n: v for n, v in at.values.items() if "." not in n or n.partition(".")[0] in names}
         stepper = Stepper(replace(self.model, effects=()).with_values(base))
         states = [q.name for q in self.printer.states]
         acting = [q.name for q in stepper.model.states]
-        state = tuple(at.x[states.index(name)] for name in acting)
-        command = tuple(at.u)
+        state, command = tuple(at.x[states.index(name)] for name in acting), tuple(at.u)
         rates = dict.fromkeys(states, 0.0) | dict(zip(acting, stepper.derivative(at.t, state, command), strict=True))
-        for (name, rate), other in zip(rates.items(), code.values("derivatives", at, names), strict=True):
-            yield f"der({name})", "equations", rate, other
-        outputs = stepper.output(at.t, state, command)
-        for q, value, other in zip(self.model.outputs, outputs, code.values("outputs", at, names), strict=True):
-            yield q.name, "equations", value, other
-        place = 0
-        shaped, starts = code.values("shape", at, names), code.values("remember", at, names)
+        values = [(f"der({name})", "equations", rate) for name, rate in rates.items()]
+        outputs = zip(self.model.outputs, stepper.output(at.t, state, command), strict=True)
+        values += [(q.name, "equations", value) for q, value in outputs]
+        after, starts, place = Values(), Values(), 0
         awake = {e.name: e for e in stepper.model.awake}
         for effect in overrides(self.printer.trace.effects, "shape", Effect):
             if effect.delay:
                 continue
             own = tuple(at.memory[place : place + len(effect.memory)])
-            if effect.name in awake:
-                start = awake[effect.name].remember(at.t, own)
-                command, after = awake[effect.name].shape(SCALAR, at.t, at.h, command, own)
-                for j, q in enumerate(effect.memory):
-                    quantity = f"{effect.name}.{q.name}, remembered"
-                    yield quantity, "shape", after[j], shaped[len(command) + place + j]
-                    yield f"{quantity} at the start", "remember", start[j], starts[place + j]
-            place += len(effect.memory)
-        for q, value, other in zip(self.model.inputs, command, shaped, strict=False):
-            yield f"{q.name}, as it acts", "shape", value, other
+            place += len(own)
+            now = begin = (math.nan,) * len(own)
+            if active := awake.get(effect.name):
+                begin = active.remember(at.t, own)
+                command, now = active.shape(SCALAR, at.t, at.h, command, own)
+            for q, value, start in zip(effect.memory, now, begin, strict=True):
+                quantity = f"{effect.name}.{q.name}, remembered"
+                after.append((quantity, "shape", value))
+                starts.append((f"{quantity} at the start", "remember", start))
+        shaped = zip(self.model.inputs, command, strict=True)
+        return [*values, *((f"{q.name}, as it acts", "shape", value) for q, value in shaped), *after, *starts]
 
-    def draw_point(self, case: Case, k: int) -> EvaluationPoint:
+    def draw_point(self, awake: tuple[Any, ...], code: GeneratedCode, k: int) -> EvaluationPoint:
         """Return the random point of test k.
 
         Parameters of the first points are unchanged. From test POINTS on, points approach the start values.
@@ -161,63 +159,45 @@ class Check:
         size = 1.0 if k < POINTS else 10.0 ** -(k - POINTS + 1)
         uniform = self.random.uniform
 
-        def around(value: float) -> float:
+        def near(value: float) -> float:
             return value + size * uniform(-1, 1) * max(1.0, abs(value))
 
-        values: dict[str, Any] = {}
-        for p in self.model.parameters:  # unchanged, within 10 %, or for an integer, any in its bounds
-            low, high = p.bounds
-            value = values[p.name] = getattr(self.model, p.name)
+        def scaled(p: Parameter, value: Any) -> Any:
             if isinstance(value, bool) or k % POINTS == 0:
-                continue
-            is_bounded = math.isfinite(low) and math.isfinite(high)
-            if k in (POINTS - 2, POINTS - 1) and is_bounded and math.ceil(low) <= math.floor(high):
-                highest = min(math.floor(high), math.ceil(low) + 3)
-                values[p.name] = float(self.random.randint(math.ceil(low), highest))
-            else:
-                values[p.name] = min(high, max(low, value * uniform(0.9, 1.1)))
+                return value
+            return min(p.bounds[1], max(p.bounds[0], value * uniform(0.8, 1.2)))
+
+        values = {p.name: scaled(p, getattr(self.model, p.name)) for p in self.model.parameters}
         for kind in self.model.catalogue:
-            awake = kind in case[0]
-            values |= {f"{kind.name}.{p.name}": self.draw_effect_value(p, awake, k) for p in parameters_of(kind)}
-            for name, smaller in kind.at_least.items() if awake else ():
+            for p in parameters_of(kind):
+                value = p.default  # the neutral value, if the parameter has one
+                if p.neutral is not None and kind in awake:
+                    gap = min(1.0, p.bounds[1] - p.neutral) / 2.0
+                    value = p.typical or p.neutral + (gap if gap > 0.0 else -1.0)
+                values[f"{kind.name}.{p.name}"] = value if value == p.neutral else scaled(p, value)
+            for name, smaller in kind.at_least.items() if kind in awake else ():
                 key = f"{kind.name}.{name}"
                 values[key] = max(values[key], values[f"{kind.name}.{smaller}"])
-        values |= case[1]
         starts = dict(zip((q.name for q in self.model.states), self.model.start(), strict=True))
-        memory = [around(q.start) for _, q in self.printer.remembering]
-        state = [around(float(starts.get(q.name, q.start))) for q in self.printer.states]
-        command = [around(float(v)) for v in self.model.start_command()]
+        memory = [near(q.start) for _, q in self.printer.remembering]
+        state = [near(float(starts.get(q.name, q.start))) for q in self.printer.states]
+        command = [near(float(v)) for v in self.model.start_command()]
         substep = self.model.substep * uniform(0.1, 1.0)
-        return EvaluationPoint(uniform(0.0, 10.0), substep, state, command, memory, values)
+        return EvaluationPoint(uniform(0.0, 10.0), substep, state, command, memory, {**values, **code.switches})
 
-    def draw_effect_value(self, p: Parameter, awake: bool, k: int) -> Any:
-        """Return a random parameter value of an effect: neutral if dormant, else near its default or typical size."""
-        if isinstance(p.default, bool):
-            return p.default
-        if p.neutral is not None and not awake:
-            return p.neutral
-        low, high = p.bounds
-        around = p.default if p.neutral is None else p.typical
-        if around is None:  # a value different from the neutral value
-            neutral = p.neutral or 0.0
-            highest = high if math.isfinite(high) else neutral + 1.0
-            around = neutral + 0.5 * (highest - neutral) if highest > neutral else neutral - 1.0
-        return min(high, max(low, around * (1.0 if k == 0 else self.random.uniform(0.7, 1.3))))
-
-    def refusal(self, difference: Difference, case: Case, code: GeneratedCode) -> UnprintableModel:
+    def refusal(self, difference: Difference, awake: tuple[Any, ...], code: GeneratedCode) -> UnprintableModel:
         """Return the error for a difference between Python and C, with the class at fault and a remedy."""
         quantity, hook, python, generated = difference
-        (awake, switches), kinds = case, self.model.catalogue
+        kinds, model = self.model.catalogue, type(self.model)
         words = [f"{', '.join(e.name for e in awake)} awake" if awake else "every effect dormant"]
-        words += [f"{name} {str(on).lower()}" for name, on in switches.items()]
+        words += [f"{name} {str(on).lower()}" for name, on in code.switches.items()]
         text = f"{quantity} is {python:.9g} in Python and {generated:.9g} as printed, with {', '.join(words)}"
         if len(awake) == 1:
             return UnprintableModel(text, awake[0], "" if hook == "equations" else hook, DECIDED)
-        if awake or not kinds or self.first_difference((kinds, switches), code):
-            return UnprintableModel(text, type(self.model), "equations", DECIDED)
+        if awake or not kinds or self.first_difference(kinds, code):
+            return UnprintableModel(text, model, "equations", DECIDED)
         # An effect is at fault if the difference occurs with only this effect dormant.
         others = ((kind, tuple(k for k in kinds if k is not kind)) for kind in kinds)
-        culprits = [kind for kind, rest in others if self.first_difference((rest, switches), code)]
-        if len(culprits) == 1:
-            return UnprintableModel(text, culprits[0], "", NOT_NEUTRAL)
-        return UnprintableModel(text, type(self.model), "equations", NOT_NEUTRAL)
+        culprits = [kind for kind, rest in others if self.first_difference(rest, code)]
+        owner, hook = (culprits[0], "") if len(culprits) == 1 else (model, "equations")
+        return UnprintableModel(text, owner, hook, NOT_NEUTRAL)

@@ -13,6 +13,7 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -97,12 +98,9 @@ def compilers() -> list[list[str]]:
     choice, machine = os.environ.get("CC"), this_platform()
     every = [cross_command(machine)] if machine and can_cross() else []
     for name in ("cc", "gcc", "clang") if choice is None else (choice,):
-        try:
-            words = shlex.split(name)
-        except ValueError:  # an open quote
-            continue
-        if words and shutil.which(words[0]):
-            return [words, *every]
+        with suppress(ValueError):  # an open quote
+            if (words := shlex.split(name)) and shutil.which(words[0]):
+                return [words, *every]
     return every
 
 
@@ -134,12 +132,12 @@ def commands(names: Sequence[str] = ()) -> dict[Platform, list[str]]:
         if can_cross() and (names or compiler() is None):
             command = cross_command(target)
         elif target == machine:
-            command = _required()
+            command = required_compiler()
         else:
             install = f"{install_command('native')} (a cross compiler)"
             raise NoCompiler(f"no compiler for {target.name} was found; {install}")
-        found[target] = [*command, *OPTIONS, "-fvisibility=hidden"]
-        found[target] += [] if target.suffix == ".dll" else ["-fPIC"]
+        options = ["-fvisibility=hidden", *(["-fPIC"] if target.suffix != ".dll" else [])]
+        found[target] = [*command, *OPTIONS, *options]
     return found
 
 
@@ -152,7 +150,7 @@ def fmi_headers() -> Path:
 
 def library_command() -> list[str]:
     """Return the command for a plain library of this machine; raise NoCompiler if none exists."""
-    return [*_required(), "-shared", *POSITION]
+    return [*required_compiler(), "-shared", *POSITION]
 
 
 def cure(extra: str) -> str:
@@ -160,7 +158,7 @@ def cure(extra: str) -> str:
     return f"install gcc or clang, name a compiler in CC, or {install_command(extra)}"
 
 
-def _required() -> list[str]:
+def required_compiler() -> list[str]:
     """Return the C compiler's command; raise NoCompiler if there is none."""
     if (command := compiler()) is None:
         raise NoCompiler(f"no C compiler was found in CC or on PATH; {cure('native')}")
@@ -201,49 +199,39 @@ def library_of(
         if library == path_of(data) and not _missing_exports(data, exports):
             return library
         library.unlink(missing_ok=True)
-    with temporary_folder("compile") as folder:
-        for file, data in files.items():
+    data, name = b"", shlex.join(command[:1])
+    with temporary_folder("compile") as folder:  # The compiler runs in it, so that the library has no local path.
+        for file, source in files.items():
             (folder / file).parent.mkdir(parents=True, exist_ok=True)
-            (folder / file).write_bytes(data)
-        data = _compile([*command, "-o", "library", main, *libraries], folder, limit)
+            (folder / file).write_bytes(source)
+        try:
+            run = subprocess.run(
+                [*command, "-o", "library", main, *libraries],
+                cwd=folder,
+                env={**os.environ, **cache_environment()},
+                stdin=subprocess.DEVNULL,
+                capture_output=True,
+                text=True,
+                errors="replace",
+                timeout=limit,
+                check=False,
+            )
+        except subprocess.TimeoutExpired:
+            raise CompilerFailed(f"{command[0]} did not finish within {limit:g} s") from None
+        except OSError as error:
+            raise CompilerFailed(f"{command[0]}: {error!s}") from error
+        if run.returncode == 0 and (folder / "library").is_file():
+            data = (folder / "library").read_bytes()
+    if not data:
+        output = (run.stderr or run.stdout).strip()
+        lines = output.splitlines() or ["it says nothing and writes no library"]
+        line = next((line for line in lines if "error" in line.lower()), lines[-1])
+        raise CompilerFailed(f"{name} failed: {line}", output)
     if missing := _missing_exports(data, exports):
-        raise CompilerFailed(
-            f"{shlex.join(command[:1])} failed: it reported no error, but its output is not a library "
-            f"with the function {missing[0]}"
-        )
+        raise CompilerFailed(f"{name} failed: its output is not a library with the function {missing[0]}")
     with draft_of(path_of(data)) as draft:
         draft.write_bytes(data)
     return path_of(data)
-
-
-def _compile(command: Sequence[str], folder: Path, limit: float) -> bytes:
-    """Compile a library in a folder, so that it contains no local path."""
-    try:
-        run = subprocess.run(
-            command,
-            cwd=folder,
-            env={**os.environ, **cache_environment()},
-            stdin=subprocess.DEVNULL,
-            capture_output=True,
-            text=True,
-            errors="replace",
-            timeout=limit,
-            check=False,
-        )
-    except subprocess.TimeoutExpired:
-        raise CompilerFailed(f"{command[0]} did not finish within {limit:g} s") from None
-    except OSError as error:
-        raise CompilerFailed(f"{command[0]}: {error!s}") from error
-    library = folder / "library"
-    if run.returncode == 0 and library.is_file():
-        return library.read_bytes()
-    output, name = (run.stderr or run.stdout).strip(), shlex.join(command[:1])
-    lines = output.splitlines() or [""]
-    line = next((line for line in lines if "error" in line.lower()), lines[-1])
-    if run.returncode:
-        raise CompilerFailed(f"{name} failed: {line or 'it says nothing'}", output)
-    said = line and f"; it said {line}"
-    raise CompilerFailed(f"{name} failed: it reported no error but wrote no library{said}", output)
 
 
 def _missing_exports(library: bytes, exports: Sequence[str]) -> list[str]:
@@ -263,18 +251,19 @@ def load_library(source: str, *headers: Path) -> ctypes.CDLL:
         CompilerFailed: All compilers fail.
     """
     files = {"model.c": source.encode(), **{path.name: path.read_bytes() for path in headers}}
-    reasons: list[Exception] = []
+    failure: Exception | None = None
     for command in compilers():
-        full = [*command, *OPTIONS, *POSITION]
-        try:
-            library = library_of(files, "model.c", full)
+        for _ in range(2):
+            try:
+                library = library_of(files, "model.c", [*command, *OPTIONS, *POSITION])
+            except CompilerFailed as error:
+                failure = failure or error
+                break
             try:
                 return ctypes.CDLL(str(library))
-            except OSError:
+            except OSError as error:
+                failure = failure or error
                 library.unlink(missing_ok=True)
-                return ctypes.CDLL(str(library_of(files, "model.c", full)))
-        except (CompilerFailed, OSError) as error:
-            reasons.append(error)
-    if not reasons:
+    if failure is None:
         raise NoCompiler("no C compiler was found in CC or on PATH")
-    raise CompilerFailed(str(reasons[0])) from reasons[0]
+    raise CompilerFailed(str(failure)) from failure

@@ -2,24 +2,22 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from html import escape
 from pathlib import Path
 from typing import Any
-from xml.etree.ElementTree import Element, SubElement
 
 from cosim.core.drafts import draft_of
 from cosim.core.units import unit_of_rate
 from cosim.core.version import __version__
 from cosim.fmi.fmu_build import Recipe, digest, write_zip
-from cosim.fmi.model_description import ASSETS, Description, described, documentation
+from cosim.fmi.model_description import ASSETS, TOOL, Description, describe, documentation
 from cosim.fmi.native.check import Check
-from cosim.fmi.native.compiler import PLATFORMS, commands, fmi_headers, glibc_floor, library_of
-from cosim.fmi.native.printing import ModelPrinter
+from cosim.fmi.native.compiler import commands, fmi_headers, glibc_floor, library_of
+from cosim.fmi.native.printing import ModelPrinter, variable_tables
 from cosim.fmi.ports import Port, model_ports
-from cosim.fmi.sampled import TOOL
 from cosim.model.model import Model
 
 LOG = {
@@ -35,8 +33,8 @@ class Native:
     Value references are those of the ports of `about`, followed by those of the local variables.
 
     Attributes:
-        body: Generated C code, `model.c`.
-        sizes: Definitions of `config.h`.
+        body: Generated C code, which follows the tables of variables in `model.c`.
+        sizes: Definitions of `config.h` beside the numbers of variables; those of `SIZES` are 0 by default.
         parts: C files included after `model.c`.
         text: Documentation in HTML.
         locals: States, their derivatives in the same order, memory, event indicators.
@@ -52,36 +50,8 @@ class Native:
     locals: tuple[Port, ...] = ()
     dependencies: Mapping[str, Sequence[str]] = field(default_factory=dict)
 
-    def named(self, role: str) -> list[str]:
-        """Return the names of the local variables of a role."""
-        return [v.name for v in self.locals if v.causality == role]
 
-
-def describe_native(native: Native, fmi: int, identifier: str, version: str, guid: str) -> bytes:
-    """Return modelDescription.xml of FMI 2.0 or 3.0. The FMI 2.0 description lists `all.c` as source file."""
-    about, is2 = native.about, fmi == 2
-    root = Element("fmiModelDescription", {"fmiVersion": f"{fmi}.0", "modelName": native.name})
-    root.set("generationTool", f"{TOOL} {version}")
-    state = "FMUstate" if is2 else "FMUState"
-    common = {"modelIdentifier": identifier, "needsExecutionTool": "false"}
-    common |= {f"canGetAndSet{state}": "true", f"canSerialize{state}": "true"}
-    if is2:
-        root.set("numberOfEventIndicators", str(len(native.named("indicator"))))
-        common["canNotUseMemoryManagementFunctions"] = "true"
-    if native.named("state"):
-        common["providesDirectionalDerivative" if is2 else "providesDirectionalDerivatives"] = "true"
-        SubElement(root, "ModelExchange", common)
-    steps = {"canHandleVariableCommunicationStepSize": str(about.variable_step).lower()}
-    SubElement(root, "CoSimulation", common | steps)
-    for interface in root if is2 else ():
-        SubElement(SubElement(interface, "SourceFiles"), "File", name="all.c")
-    categories = Element("LogCategories")
-    for category, meaning in LOG.items():
-        SubElement(categories, "Category", name=category, description=meaning)
-    more, own = native.locals, native.dependencies
-    return described(root, categories, about, version, guid, fmi=fmi, state="doubles", locals=more, dependencies=own)
-
-
+SIZES = ("STATES", "MEMORIES", "KINKS", "RANGES", "EFFECTS", "OWN", "EXCHANGE")
 FOLDER = Path(__file__).resolve().parent
 COMMON = ("floating.h", "near.h", "rk4.h", "stiff.h", "model.h", "instance.c", "fmi.c")
 EXPORTS = {
@@ -169,43 +139,61 @@ def build_native(native: Native, path: Path, fmi: int = 2, platforms: Sequence[s
         CompilerFailed: Compilation failed.
     """
     identifier, layer = f"{native.name}Native", f"fmi{fmi}.c"
-    targets = commands(tuple(platforms))
+    targets, is2 = commands(tuple(platforms)), fmi == 2
     order = ["model.c", "instance.c", *native.parts, layer]
     head = "/* One translation unit: nothing but FMI's own functions is seen from outside. */\n"
     headers = sorted(fmi_headers().glob(f"fmi{fmi}*.h"))
 
+    state = "FMUstate" if is2 else "FMUState"
+    common = {"modelIdentifier": identifier, "needsExecutionTool": "false"}
+    common |= {f"canGetAndSet{state}": "true", f"canSerialize{state}": "true"}
+    if is2:
+        common["canNotUseMemoryManagementFunctions"] = "true"
+    interfaces = {}
+    if has_states := any(v.causality == "state" for v in native.locals):
+        common["providesDirectionalDerivative" if is2 else "providesDirectionalDerivatives"] = "true"
+        interfaces["ModelExchange"] = common
+    any_step = str(native.about.variable_step).lower()
+    interfaces["CoSimulation"] = common | {"canHandleVariableCommunicationStepSize": any_step}
+
+    def description(guid: str) -> bytes:
+        head = native.about, native.name, f"{TOOL} {__version__}", guid, interfaces, LOG
+        return describe(*head, fmi=fmi, locals=native.locals, dependencies=native.dependencies)
+
+    tables, texts = variable_tables(native.about.ports)
+    causalities = Counter(port.causality for port in native.about.ports)
+    sizes = {"VARIABLES": len(native.about.ports), "TEXTS": texts}
+    sizes |= {"INPUTS": causalities["input"], "OUTPUTS": causalities["output"], **dict.fromkeys(SIZES, 0)}
+
     def config(guid: str) -> bytes:
-        sizes = {**native.sizes, "MODEL_GUID": f'"{guid}"'}
-        lines = "".join(f"#define {name} {value}\n" for name, value in sizes.items())
+        defined = {**sizes, **native.sizes, "MODEL_GUID": f'"{guid}"'}
+        lines = "".join(f"#define {name} {value}\n" for name, value in defined.items())
         return f"/* Sizes and identity of this model. */\n{lines}".encode()
 
     sources = {
         "all.c": (head + "".join(f'#include "{name}"\n' for name in order)).encode(),
-        "model.c": f'#include "model.h"\n\n{native.body}'.encode(),
+        "model.c": f'#include "model.h"\n\n{tables}\n{native.body}'.encode(),
         **native.parts,
         **{name: part(name) for name in (*COMMON, layer)},
         **{file.name: file.read_text(encoding="utf-8").encode() for file in headers},  # lines end with LF
         "config.h": config(""),
     }
-    guid = f"{{{digest(sources, describe_native(native, fmi, identifier, __version__, ''))[:32]}}}"
+    guid = f"{{{digest(sources, description(''))[:32]}}}"
     sources["config.h"] = config(guid)
     members = {f"sources/{name}": data for name, data in sources.items()}
     if fmi == 3:
         members["sources/buildDescription.xml"] = BUILD_DESCRIPTION.format(identifier=identifier).encode()
-    others = ", ".join(p.name for p in PLATFORMS.values() if p not in targets)
-    text = f"<p>Native: compiled C, which needs no Python. Libraries for {escape(', '.join(p.name for p in targets))}"
-    if others:
-        text += f"; none for {escape(others)}, compile <code>sources/</code> there"
-    way = f"FMI {fmi}.0 {'co-simulation and model exchange' if native.named('state') else 'co-simulation'}"
-    pages = documentation(native.about, f"{text}.</p>{native.text}", __version__, guid, way)
-    members |= {f"documentation/{name}": data for name, data in pages.items()}
-    members["model.png" if fmi == 2 else "terminalsAndIcons/icon.png"] = (ASSETS / "model.png").read_bytes()
+    built = escape(", ".join(p.name for p in targets))
+    text = f"<p>Compiled C, which needs no Python. Libraries for {built}; compile <code>sources/</code> elsewhere.</p>"
+    way = f"FMI {fmi}.0 co-simulation{' and model exchange' if has_states else ''}"
+    members |= documentation(native.about, text + native.text, guid, way)
+    members["model.png" if is2 else "terminalsAndIcons/icon.png"] = (ASSETS / "model.png").read_bytes()
     floors = {}
     for platform, command in targets.items():
         library = library_of(sources, "all.c", command, EXPORTS[fmi]).read_bytes()
         members[f"binaries/{platform.folder(fmi)}/{identifier}{platform.suffix}"] = library
         floors[platform.name] = glibc_floor(library)
-    members["modelDescription.xml"] = describe_native(native, fmi, identifier, __version__, guid)
+    members["modelDescription.xml"] = description(guid)
     with draft_of(path) as target:
         write_zip(target, members)
     return NativeFmu(path, floors)

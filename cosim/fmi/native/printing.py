@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Iterator, Sequence
-from functools import cached_property
 from itertools import product
 from typing import Any
 
@@ -15,25 +15,11 @@ from cosim.model.quantities import parameters_of
 from cosim.model.symbolic.blocks import extract_calls, function, kinks, tangent
 from cosim.model.symbolic.languages import C
 from cosim.model.symbolic.symbols import number_guard
-from cosim.model.symbolic.trace import Trace, Untraceable
+from cosim.model.symbolic.trace import Trace, UnprintableModel
 
 MOST_SWITCHES = 4  # Boolean parameters; each doubles the generated code
 LANGUAGE = C()
 Function = tuple[str, str, str]  # name, arguments, text
-
-
-class UnprintableModel(ValueError):
-    """A model without a C equivalent.
-
-    Attributes:
-        owner: Class at fault, if known.
-        hook: Method of the class at fault.
-        cure: Cure for the message.
-    """
-
-    def __init__(self, text: str, owner: type | None = None, hook: str = "", cure: str = "") -> None:
-        super().__init__(text)
-        self.owner, self.hook, self.cure = owner, hook, cure
 
 
 def quote(text: str) -> str:
@@ -70,11 +56,17 @@ def variable_tables(ports: Sequence[Port]) -> tuple[str, int]:
     return variables.replace("[]", "[VARIABLES + 1]", 1) + strings.replace("[]", "[TEXTS + 1]", 1), len(texts)
 
 
+def _c_function(head: str, lines: str) -> str:
+    """Return a C function whose arguments may be unused."""
+    unused = ", ".join(f"(void){name}" for name in re.findall(r"(\w+)[,)]", head))
+    return f"static {head}\n{{\n    {unused};\n{lines}}}\n"
+
+
 class ModelPrinter:
     """Generator of a model's C code. Boolean parameters choose among variants of the code at run time."""
 
     def __init__(self, model: Model, ports: Sequence[Port]) -> None:
-        self.model, self.ports = model, ports
+        self.model = model
         self.place = {port.name: k for k, port in enumerate(ports)}
         self.switches = [name for name, p in model.declared.items() if isinstance(p.default, bool)]
         if len(self.switches) > MOST_SWITCHES:
@@ -83,43 +75,22 @@ class ModelPrinter:
             cure = "replace the others by numbers used in m.where, or by constants of the class"
             raise UnprintableModel(text, type(model), self.switches[MOST_SWITCHES].rpartition(".")[2], cure)
         positions = product((False, True), repeat=len(self.switches))
-        try:
-            self.variants = [Trace(model, dict(zip(self.switches, flags, strict=True))) for flags in positions]
-        except Untraceable as error:
-            raise UnprintableModel(str(error), error.owner, error.hook, error.cure) from error
+        self.variants = [Trace(model, dict(zip(self.switches, flags, strict=True))) for flags in positions]
         self.trace = self.variants[0]
-
-    @property
-    def states(self) -> tuple[Any, ...]:
-        """Return all states of the model, including those of the effects in its catalogue."""
-        states: tuple[Any, ...] = self.trace.s.model.states
-        return states
-
-    @cached_property
-    def delay(self) -> Any:
-        """Return the effect that delays the command, if any."""
-        return next((e for e in overrides(self.trace.effects, "shape", Effect) if e.delay), None)
-
-    @cached_property
-    def remembering(self) -> list[tuple[Any, Any]]:
-        """Return (effect, quantity) for all memory of effects except delays."""
-        shaping = overrides(self.trace.effects, "shape", Effect)
-        return [(e, q) for e in shaping if not e.delay for q in e.memory]
+        self.states = self.trace.s.model.states  # including those of the effects in the catalogue
+        self.shaping = overrides(self.trace.effects, "shape", Effect)
+        self.delay = next((e for e in self.shaping if e.delay), None)
+        self.remembering = [(e, q) for e in self.shaping if not e.delay for q in e.memory]
 
     def sources(self) -> tuple[str, dict[str, object]]:
         """Return all generated C code of the model, and the definitions of its `config.h`."""
-        tables, texts = variable_tables(self.ports)
         functions, body_kinks, kinks_in_all, calls = load_or_make(self._serialize(), self._functions)
-        parts = [tables, self._tables(), *functions, self._starts(), *self._questions()]
+        parts = [self._tables(), *functions, self._starts(), *self._questions()]
         delay, longest = self.delay, 0.0
         if delay:
-            declared = next(p for p in parameters_of(delay) if p.name == delay.delay)
-            longest = float(getattr(delay, "longest", declared.bounds[1]))
+            bounds = {p.name: p.bounds for p in parameters_of(delay)}
+            longest = float(getattr(delay, "longest", bounds[delay.delay][1]))
         sizes: dict[str, object] = {
-            "VARIABLES": len(self.ports),
-            "TEXTS": texts,
-            "INPUTS": len(self.model.inputs),
-            "OUTPUTS": len(self.model.outputs),
             "STATES": len(self.states),
             "MEMORIES": len(self.remembering),
             "OWN": len(self.states) + len(self.remembering) + 2 * len(self.model.inputs),
@@ -131,7 +102,7 @@ class ModelPrinter:
             "DELAY": self.trace.effects.index(delay) if delay else -1,
             "DELAY_TIME": self.place[f"{delay.name}.{delay.delay}"] if delay else 0,
             "DELAY_LONGEST": number(longest),
-            "SHAPING": int(bool(overrides(self.trace.effects, "shape", Effect))),
+            "SHAPING": int(bool(self.shaping)),
             "SUBSTEP": number(self.model.substep),
             "STIFF": int(self.model.integrator == STIFF),
             "EXCHANGE": 1,
@@ -160,49 +131,46 @@ class ModelPrinter:
         for trace in self.variants:
             moving = {*trace.s.state, *trace.s.command, trace.s.time}
             at_once = [b for b in trace.shaping if b.effect is None or not trace.effects[b.effect].memory]
-            shaped = {*moving, *(s for b in trace.shaping for s in b.values)}
+            shaped = moving.union(*(b.values for b in trace.shaping))
             ends = [*trace.derivative, *trace.outputs]
             indicators.append((kinks(trace.blocks, ends, moving), kinks(at_once, [], shaped)))
         sizes = [max(len(pair[k][1]) for pair in indicators) for k in (0, 1)]
         calls = [extract_calls(trace.blocks, trace.derivative) for trace in self.variants]
         printed = [self._variant(*of, sizes) for of in zip(self.variants, indicators, calls, strict=True)]
-        merged = [self._merge([variant[k] for variant in printed]) for k in range(len(printed[0]))]
+        merged = [self._merge(variants) for variants in zip(*printed, strict=True)]
         return merged, sizes[0], sum(sizes), max(len(near) for _, _, near in calls)
 
     def _variant(self, trace: Trace, indicators: Any, near: Any, sizes: Sequence[int]) -> list[Function]:
         """Return the functions for one combination of the Boolean parameters."""
         import sympy
 
-        s = trace.s
+        s, body, shaping, n = trace.s, trace.blocks, trace.shaping, len(trace.derivative)
         direction = {symbol: sympy.Symbol(f"slope:{symbol}", real=True) for symbol in (*s.state, *s.command)}
         places = self._places(trace)
         places |= {d: f"d{places[symbol]}" for symbol, d in direction.items()}
-        slope_blocks, slopes = tangent(trace.blocks, [*trace.derivative, *trace.outputs], direction)
-        shape_blocks, shape_slopes = tangent(trace.shaping, trace.shaped, {u: direction[u] for u in s.command})
-        (body_kinks, body_gaps), (shape_kinks, shape_gaps) = indicators
-        body_gaps, shape_gaps = (
-            [*gaps, *[sympy.Integer(1)] * (size - len(gaps))]
-            for gaps, size in zip((body_gaps, shape_gaps), sizes, strict=True)
-        )
-        body, shaping, n = trace.blocks, trace.shaping, len(trace.derivative)
-        functions: list[tuple[str, str, list[Any], list[Any], Any]] = [
-            ("derivatives", "t x u p near", near[0], near[1], near[2]),
-            ("outputs", "t x u p", body, trace.outputs, ()),
-            ("shape", "t h u memory p", shaping, [*trace.shaped, *trace.remembered], ()),
-            ("remember", "t memory p", [], trace.started, ()),
-            ("indicators", "t x u p", [*body, *body_kinks], body_gaps, ()),
-            ("shape_indicators", "t h u memory p", [*shaping, *shape_kinks], shape_gaps, ()),
-            ("derivative_slopes", "t x u p dx du", [*body, *slope_blocks], slopes[:n], ()),
-            ("output_slopes", "t x u p dx du", [*body, *slope_blocks], slopes[n:], ()),
-            ("shape_slopes", "t h u memory p dx du", [*shaping, *shape_blocks], shape_slopes, ()),
+        slope_blocks, slopes = tangent(body, [*trace.derivative, *trace.outputs], direction)
+        shape_blocks, shape_slopes = tangent(shaping, trace.shaped, {u: direction[u] for u in s.command})
+        (body_kinks, shape_kinks), gaps = zip(*indicators, strict=True)
+        body_gaps, shape_gaps = ([*g, *[sympy.Integer(1)] * (k - len(g))] for g, k in zip(gaps, sizes, strict=True))
+        functions: list[tuple[str, str, list[Any], list[Any]]] = [
+            ("derivatives", "t x u p near", near[0], near[1]),
+            ("outputs", "t x u p", body, trace.outputs),
+            ("shape", "t h u memory p", shaping, [*trace.shaped, *trace.remembered]),
+            ("remember", "t memory p", [], trace.started),
+            ("indicators", "t x u p", [*body, *body_kinks], body_gaps),
+            ("shape_indicators", "t h u memory p", [*shaping, *shape_kinks], shape_gaps),
+            ("derivative_slopes", "t x u p dx du", [*body, *slope_blocks], slopes[:n]),
+            ("output_slopes", "t x u p dx du", [*body, *slope_blocks], slopes[n:]),
+            ("shape_slopes", "t h u memory p dx du", [*shaping, *shape_blocks], shape_slopes),
         ]
+        texts: list[Function] = []
         try:
-            return [
-                (name, arguments, function(LANGUAGE, name, arguments, blocks, results, places, calls=calls))
-                for name, arguments, blocks, results, calls in functions
-            ]
+            for name, words, blocks, ends in functions:
+                calls = near[2] if "near" in words else ()
+                texts.append((name, words, function(LANGUAGE, name, words, blocks, ends, places, calls=calls)))
         except ValueError as error:
             raise UnprintableModel(str(error)) from error
+        return texts
 
     def _places(self, trace: Trace) -> dict[Any, str]:
         """Return the place of each symbol in C; parameters are indexed by value reference."""
@@ -246,9 +214,7 @@ class ModelPrinter:
             for array, values in starts.items()
             for k, value in enumerate(values)
         )
-        unused = "(void)p, (void)x, (void)memory, (void)u, (void)late;"
-        head = "static void starts(const double *p, double *x, double *memory, double *u, double *late)"
-        return f"{head}\n{{\n    {unused}\n{text}}}\n"
+        return _c_function("void starts(const double *p, double *x, double *memory, double *u, double *late)", text)
 
     def _questions(self) -> Iterator[str]:
         """Yield three C functions on effects.
@@ -262,12 +228,10 @@ class ModelPrinter:
             neutrals = [(self.place[f"{effect.name}.{p.name}"], p.neutral) for p in parameters_of(effect)]
             tests = [f"p[{vr}] != {number(neutral)}" for vr, neutral in neutrals if neutral is not None]
             lines += f"    awake[{k}] = {' || '.join(tests) or '0'}; /* {effect.name} */\n"
-        head = "static void wake(const double *p, unsigned char *awake)"
-        yield f"{head}\n{{\n    (void)p, (void)awake;\n{lines}}}\n"
+        yield _c_function("void wake(const double *p, unsigned char *awake)", lines)
 
         active = " || ".join(f"awake[{k}]" for k, e in enumerate(effects) if e.name in remembering)
-        head = "static int remembers(const unsigned char *awake)\n{\n    (void)awake;\n"
-        yield f"{head}    return {active or '0'};\n}}\n"
+        yield _c_function("int remembers(const unsigned char *awake)", f"    return {active or '0'};\n")
 
         clock, counting = {self.trace.step, self.trace.s.time}, {}
         for block in self.trace.shaping:
@@ -276,20 +240,15 @@ class ModelPrinter:
                 symbols = set().union(*(e.free_symbols for e in block.values.values()))
                 if symbols & (clock if name in remembering else {self.trace.step}):
                     counting[block.effect] = f"    if (awake[{block.effect}]) return {quote(name)};\n"
-        head = "static const char *counting(const unsigned char *awake)\n{\n    (void)awake;\n"
-        yield f"{head}{''.join(counting.values())}    return NULL;\n}}\n"
+        lines = "".join(counting.values()) + "    return NULL;\n"
+        yield _c_function("const char *counting(const unsigned char *awake)", lines)
 
     def _tables(self) -> str:
         """Return the tables of value references of start values, and of the model's ranges of validity."""
-        late = [f"{self.delay.name}.{q.name}" for q in self.delay.memory] if self.delay else []
-        if self.delay and len(late) != len(self.model.inputs):
-            raise UnprintableModel(
-                f"{self.delay.name} has {len(late)} memory quantities; the model has {len(self.model.inputs)} inputs"
-            )
         starts = {
             "STATE_START": [q.name for q in self.states],
             "MEMORY_START": [f"{e.name}.{q.name}" for e, q in self.remembering],
-            "DELAY_START": late,
+            "DELAY_START": [f"{self.delay.name}.{q.name}" for q in self.delay.memory] if self.delay else [],
         }
         text = table("char *const", "STATE_NAME", [quote(q.name) for q in self.states])
         for name, quantities in starts.items():

@@ -7,7 +7,6 @@ import re
 import shutil
 import zipfile
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from math import prod
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -25,7 +24,6 @@ from cosim.fmi.native.compiler import (
     NoCompiler,
     commands,
     fmi_headers,
-    glibc_floor,
     library_of,
     this_platform,
 )
@@ -89,7 +87,6 @@ SLOPES = ("providesDirectionalDerivative", "providesDirectionalDerivatives", "pr
 INPUT_SLOPES = ("canInterpolateInputs", "recommendedIntermediateInputSmoothness")
 OUTPUT_SLOPES = ("maxOutputDerivativeOrder",)
 STEP_FLAGS = {2: ("completedIntegratorStepNotNeeded", "false"), 3: ("needsCompletedIntegratorStep", "true")}
-NONE = {"false", "0"}  # values of an absent capability
 
 
 class CannotWrap(ValueError):
@@ -127,10 +124,10 @@ def set_starts(root: Any, values: Mapping[str, float], file: str) -> None:
 
 def describe_wrapped(
     text: bytes, file: str, kept: Iterable[str], terms: TermCode, values: Mapping[str, float], first: int
-) -> tuple[Any, list[str]]:
-    """Return the root of a wrapped FMU's description, the original's GUID or token, and the withdrawn capabilities.
+) -> Any:
+    """Return the root of a wrapped FMU's description, still with the original's GUID or token.
 
-    All other content stays, comments and annotations included.
+    Interfaces and capabilities that the wrapper lacks are withdrawn; comments and annotations stay.
 
     Args:
         kept: Interfaces in which the terms act.
@@ -140,15 +137,6 @@ def describe_wrapped(
 
     root = parsed(text)
     fmi, parameters = int(root.get("fmiVersion")[0]), terms.parameters
-    withdrawn: list[str] = []
-    for interface in [node for node in root if node.tag in INTERFACES]:
-        if interface.tag not in kept:
-            root.remove(interface)
-            withdrawn.append(interface.tag)
-        # sources of the original, which are not those of the new library
-        for sources in interface.findall("SourceFiles"):
-            interface.remove(sources)
-    interfaces = [node for node in root if node.tag in INTERFACES]
     lost: list[str] = []
     if any(values.get(p.name, p.default) != p.neutral for p in parameters if p.neutral is not None):
         lost += SLOPES
@@ -156,10 +144,15 @@ def describe_wrapped(
         lost += INPUT_SLOPES
     if "readings" in terms.hooks:
         lost += OUTPUT_SLOPES
-    for interface in interfaces:
+    interfaces = []
+    for interface in [node for node in root if node.tag in INTERFACES]:
+        if interface.tag not in kept:
+            root.remove(interface)
+            continue
+        interfaces.append(interface)
+        etree.strip_elements(interface, "SourceFiles")  # of the original, not those of the new library
         for name in lost:
-            if interface.attrib.pop(name, "false") not in NONE and name not in withdrawn:
-                withdrawn.append(name)
+            interface.attrib.pop(name, None)
         if interface.tag == "ModelExchange" and (terms.memory or terms.delay):
             interface.set(*STEP_FLAGS[fmi])  # the host reports each step of its solver
     variables, structure = root.find("ModelVariables"), root.find("ModelStructure")
@@ -188,7 +181,7 @@ def describe_wrapped(
         node = etree.SubElement(node, "Real") if fmi == 2 else node
         set_unit_and_limits(node, p.unit, p.bounds)
         node.set("start", repr(float(values.get(p.name, p.default))))
-    return root, withdrawn
+    return root
 
 
 # -- the archive ----------------------------------------------------------------------------------------
@@ -201,25 +194,9 @@ MOST_REFERENCE = 2**31 - 1  # some hosts take value references as signed
 FLAGS = {"SHAPES": "shape_all", "PORTS": "port_inputs", "RATES": "added_rates", "READS": "readings"}
 
 
-@dataclass(frozen=True)
-class Wrapped:
-    """A written wrapped FMU.
-
-    Attributes:
-        platforms: Platforms with a library, as named in FMI 2.0, and the oldest glibc of a Linux library.
-        left_out: Platform folder of the original → reason why the wrapper has no library for it.
-        withdrawn: Interfaces and capabilities of the original that the wrapper lacks.
-    """
-
-    path: Path
-    platforms: Mapping[str, str]
-    left_out: Mapping[str, str]
-    withdrawn: tuple[str, ...]
-
-
 def wrap(
     original: Path, terms: TermCode, values: Mapping[str, float], out: Path, *, substep: float | None = None
-) -> Wrapped:
+) -> dict[str, str]:
     """Write an FMU that contains the original and adds terms, completely or not at all.
 
     It has the platforms of the original that can be compiled for; the local compiler is used for this machine.
@@ -228,6 +205,9 @@ def wrap(
         values: Start values of the terms' parameters, and of real variables of the original.
         substep: Longest step [s] in co-simulation with constant forces and shaped inputs, if the original accepts any
             step; by default the communication step. Model exchange needs a substep for terms with memory.
+
+    Returns:
+        Platform folder of the original → reason why the wrapper has no library for it.
 
     Raises:
         FmuError: The original is invalid.
@@ -246,7 +226,7 @@ def wrap(
         gaps = zip([-1, *taken], taken, strict=False)
         first = next(low + 1 for low, high in gaps if high - low > count)
     config = _config(original.name, about, terms, values, interfaces, first=first, substep=substep or 0.0)
-    root, withdrawn = describe_wrapped(description_of(original), original.name, interfaces, terms, values, first)
+    root = describe_wrapped(description_of(original), original.name, interfaces, terms, values, first)
     headers = {p.name: p.read_text(encoding="utf-8") for p in sorted(fmi_headers().glob(f"fmi{fmi}*.h"))}
     types = headers[f"fmi{fmi}FunctionTypes.h"]
     files = "loading.c", "history.c", "wrapper.c", f"wrapper{fmi}.c"
@@ -267,7 +247,7 @@ def wrap(
         token_name, token = "guid" if fmi == 2 else "instantiationToken", f"{{{hashed[:32]}}}"
         config += f"#define OWN_TOKEN {quote(token)}\n#define ORIGINAL_TOKEN {quote(root.get(token_name, ''))}\n"
         root.set(token_name, token)
-        members, platforms, left_out = _libraries(original.name, old.namelist(), interfaces, sources, config, fmi)
+        members, left_out = _libraries(original.name, old.namelist(), interfaces, sources, config, fmi)
         members[DESCRIPTION] = xml_of(root)
         members |= {f"{WRAPPER}{name}": data for name, data in sources.items()}
         with draft_of(out) as draft, zipfile.ZipFile(draft, "w", zipfile.ZIP_DEFLATED) as new:
@@ -277,7 +257,7 @@ def wrap(
                 _copy(old, member, new, ORIGINAL + member.filename)
                 if member.filename.startswith(KEPT):
                     _copy(old, member, new, member.filename)
-    return Wrapped(out, platforms, left_out, tuple(withdrawn))
+    return left_out
 
 
 def _interfaces(file: str, about: Any, terms: TermCode, substep: float | None) -> dict[str, str]:
@@ -350,8 +330,8 @@ def _config(
     for v in about.modelVariables:
         if v.shape and v.type in REALS:
             places.setdefault(int(v.valueReference), {})["size"] = prod(v.shape)
-    defaults = {"input": -1, "output": -1, "rate": -1, "own": -1, "size": 1}
-    rows = [(f"{r}u", *(defaults | there).values()) for r, there in sorted(places.items())]
+    absent = {"input": -1, "output": -1, "rate": -1, "own": -1, "size": 1}
+    rows = [f"{{{r}u, {', '.join(map(str, (absent | there).values()))}}}" for r, there in sorted(places.items())]
     may_pend = getattr(about.coSimulation, "canRunAsynchronuously", False)
     sizes = {
         "NU": len(terms.inputs),
@@ -400,7 +380,7 @@ def _config(
             table("char *const", "PARAMETER_NAME", map(quote, names)),
             "/* Places of a variable among inputs, outputs, derivatives and own values, and its elements. */\n",
             "typedef struct {\n    unsigned int reference;\n    int input, output, rate, own, size;\n} Special;\n",
-            table("Special", "SPECIAL", (f"{{{', '.join(map(str, row))}}}" for row in rows)),
+            table("Special", "SPECIAL", rows),
             direction,
         ]
     )
@@ -413,8 +393,8 @@ def _libraries(
     sources: Mapping[str, bytes],
     config: str,
     fmi: int,
-) -> tuple[dict[str, bytes], dict[str, str], dict[str, str]]:
-    """Return libraries by member, their platforms with glibc, and the folders left out with reasons."""
+) -> tuple[dict[str, bytes], dict[str, str]]:
+    """Return libraries by member, and the platform folders of the original left out with reasons."""
     folders: dict[str, list[str]] = {}
     for name in names:
         parts = PurePosixPath(name).parts
@@ -425,44 +405,39 @@ def _libraries(
         raise CannotWrap(f"{file} has no library for {identifiers}; it cannot be wrapped")
     known = {p.folder(fmi): p for p in PLATFORMS.values()}
     members: dict[str, bytes] = {}
-    built: dict[str, str] = {}
     left_out: dict[str, str] = {}
     for folder, files in sorted(folders.items()):
         platform = known.get(folder)
         if platform is None:
-            left_out[folder] = f"{folder} is not a requested platform"
+            left_out[folder] = f"{folder} is not a supported platform"
             continue
         libraries = [each for each in files if each.endswith(platform.suffix)]
-        # A single library may have a file name other than its identifier.
-        own = {i: i + platform.suffix for i in interfaces.values()}
-        if missing := [i for i, library in own.items() if library not in libraries and len(libraries) != 1]:
-            left_out[folder] = f"{folder} has no library for {missing[0]}"
+        own = {i + platform.suffix for i in interfaces.values()}
+        if len(libraries) != 1 and (missing := sorted(own - {*libraries})):
+            left_out[folder] = f"{folder} has no library {missing[0]}"
             continue
-        is_here, made = platform == this_platform(), {}
+        is_here, made = platform == this_platform(), dict[str, bytes]()
         try:
             (command,) = commands(() if is_here else (platform.name,)).values()
-            for library in own.values():
+            for library in own:
+                # A single library may have a file name other than its identifier.
                 at = f"binaries/{folder}/{library if library in libraries else libraries[0]}"
                 files_of_c = {**sources, "config.h": f"{config}#define ORIGINAL {quote(at)}\n".encode()}
                 more = ("-lm", "-ldl") if platform.suffix == ".so" else ("-lm",)
                 path = library_of(files_of_c, "all.c", command, EXPORTS[fmi], libraries=more)
                 made[f"binaries/{folder}/{library}"] = path.read_bytes()
-        except NoCompiler as error:
-            left_out[folder] = error.args[0]
-        except CompilerFailed as error:
-            if is_here:
+            members |= made
+        except (NoCompiler, CompilerFailed) as error:
+            if is_here and isinstance(error, CompilerFailed):
                 raise
             left_out[folder] = str(error)
-        else:
-            members |= made
-            built[platform.name] = glibc_floor(b"".join(made.values()))
     if not members:
         reasons = "; ".join(f"{name}: {reason}" for name, reason in left_out.items())
         raise NoCompiler(
             f"the refined FMU of {file} needs a small library around the original, but none of its platforms can be "
             f"compiled for: {reasons}"
         )
-    return members, built, left_out
+    return members, left_out
 
 
 def _copy(old: zipfile.ZipFile, member: zipfile.ZipInfo, new: zipfile.ZipFile, place: str) -> None:

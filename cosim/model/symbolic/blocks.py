@@ -6,16 +6,14 @@ Jacobian.
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from itertools import count
 from typing import Any
 
 from cosim.model.symbolic.languages import Language
-from cosim.model.symbolic.symbols import sympified
-from cosim.model.symbolic.trace import Block
-
-AWAKE, DORMANT = 0, 1  # branches of a block
+from cosim.model.symbolic.symbols import Block, sympified
 
 
 def kinks(blocks: Sequence[Block], expressions: Sequence[Any], moving: set[Any]) -> tuple[list[Block], list[Any]]:
@@ -74,16 +72,15 @@ def tangent(
 
 
 @dataclass(frozen=True)
-class Nearby:
+class Nearby(Block):
     """A call of sin, cos or a power whose argument is near a known point, for cheap evaluation.
 
     Attributes:
+        values: Symbol of each result → arguments of the call.
         place: Index of the known point, one per call of a function.
     """
 
-    place: int
-    symbols: tuple[Any, ...]
-    arguments: tuple[Any, ...]
+    place: int = 0
 
 
 def extract_calls(blocks: Sequence[Block], results: Sequence[Any]) -> tuple[list[Block], list[Any], list[Nearby]]:
@@ -95,18 +92,19 @@ def extract_calls(blocks: Sequence[Block], results: Sequence[Any]) -> tuple[list
 
     calls: dict[Any, Nearby] = {}
 
-    def call(names: Sequence[str], arguments: tuple[Any, ...]) -> Nearby:
-        symbols = tuple(sympy.Symbol(f"{name}_{len(calls)}", real=True) for name in names)
-        return calls.setdefault(arguments, Nearby(len(calls), symbols, arguments))
+    def call(names: Sequence[str], arguments: tuple[Any, ...]) -> list[Any]:
+        symbols = [sympy.Symbol(f"{name}_{len(calls)}", real=True) for name in names]
+        values = dict.fromkeys(symbols, sympy.Tuple(*arguments))
+        return [*calls.setdefault(arguments, Nearby(values, place=len(calls))).values]
 
     def replace(e: Any) -> Any:
         arguments = tuple(map(replace, e.args))
         if arguments != e.args:
             e = e.func(*arguments)
         if isinstance(e, (sympy.sin, sympy.cos)):
-            return call(("sine", "cosine"), e.args).symbols[isinstance(e, sympy.cos)]
+            return call(("sine", "cosine"), e.args)[isinstance(e, sympy.cos)]
         if isinstance(e, sympy.Pow) and not e.exp.is_number:
-            return call(("power",), e.args).symbols[0]
+            return call(("power",), e.args)[0]
         return e
 
     changed = []
@@ -114,17 +112,6 @@ def extract_calls(blocks: Sequence[Block], results: Sequence[Any]) -> tuple[list
         values, dormant = ({s: replace(sympy.sympify(e)) for s, e in of.items()} for of in (b.values, b.dormant))
         changed.append(Block(values, b.effect, dormant, b.title))
     return changed, [*map(replace, sympified(results))], list(calls.values())
-
-
-@dataclass
-class _Node:
-    """A block of the generated code. An effect's block has symbols and expressions for each of its two branches."""
-
-    branches: tuple[dict[Any, Any], ...]
-    effect: int | None = None
-    title: str = ""
-    call: Nearby | None = None
-    within: tuple[list[_Node], list[_Node]] = field(default_factory=lambda: ([], []))  # needed by one branch only
 
 
 def function(
@@ -144,41 +131,69 @@ def function(
     """
     import sympy
 
-    evaluated = [sympy.Tuple(*call.arguments) for call in calls]
+    evaluated = [next(iter(call.values.values())) for call in calls]
     needed = _needed_blocks(blocks, [*results, *evaluated])
     plain = {s: e for b in needed if b.effect is None for s, e in b.values.items()}
     temporary = (sympy.Symbol(f"c{k}", real=True) for k in count())
     replaced, reduced = sympy.cse([*plain.values(), *evaluated, *results], symbols=temporary, optimizations=[])
     called, ends = reduced[len(plain) : len(plain) + len(calls)], reduced[len(plain) + len(calls) :]
-    nodes = [_Node(({s: e},)) for s, e in (*replaced, *zip(plain, reduced, strict=False))]
-    nodes += [_Node((dict.fromkeys(c.symbols, e),), call=c) for c, e in zip(calls, called, strict=True)]
-    nodes += [_Node((b.values, b.dormant), b.effect, b.title) for b in needed if b.effect is not None]
-    maker = {s: node for node in nodes for s in node.branches[0]}
-    ordered: dict[int, _Node] = {}
+    nodes = [Block({s: e}) for s, e in (*replaced, *zip(plain, reduced, strict=False))]
+    nodes += [replace(c, values=dict.fromkeys(c.values, e)) for c, e in zip(calls, called, strict=True)]
+    nodes += [b for b in needed if b.effect is not None]
+    maker = {s: node for node in nodes for s in node.values}
+    ordered: dict[int, Block] = {}
 
     def visit(expressions: Iterator[Any]) -> None:
         """Add the nodes in order of dependence."""
         for symbol in sorted({s for e in expressions for s in e.free_symbols}, key=str):
             node = maker.get(symbol)
             if node is not None and id(node) not in ordered:
-                visit(e for branch in node.branches for e in branch.values())
+                visit(e for branch in (node.values, node.dormant) for e in branch.values())
                 ordered[id(node)] = node
 
     visit(iter(ends))
     homes: dict[Any, set[Any]] = {s: {None} for e in ends for s in e.free_symbols}  # symbol → branches that use it
-    lasting: list[_Node] = []
+    within = defaultdict[Any, list[Block]](list)  # branch → its nodes; None for all branches
     for node in reversed(ordered.values()):
         home = None
         if node.effect is None:  # a node that a single branch uses moves into it
-            own = set().union(*(homes.get(s, set()) for s in node.branches[0]))
+            own = set().union(*(homes.get(s, set()) for s in node.values))
             (home,) = own if len(own) == 1 else (None,)
-        for k, branch in enumerate(node.branches):
+        for k, branch in enumerate((node.values, node.dormant)):
             for symbol in {s for e in branch.values() for s in e.free_symbols}:
                 homes.setdefault(symbol, set()).add(home if node.effect is None else (id(node), k))
-        (ordered[home[0]].within[home[1]] if home else lasting).append(node)
+        within[home].append(node)
     printer = language.printer(places)
-    lines = [line for node in reversed(lasting) for line in _print_node(node, language, printer, "    ")]
-    lines += ["    " + language.store.format(k, printer.doprint(e)) for k, e in enumerate(ends)]
+
+    def lines_of(home: Any, indent: str) -> Iterator[str]:
+        """Yield the lines of the nodes of a branch."""
+        for node in reversed(within[home]):
+            symbols, expressions = [*node.values], [*node.values.values()]
+            if isinstance(node, Nearby):
+                form = language.angle if len(expressions[0]) == 1 else language.power
+                yield indent + form.format(node.place, *symbols, *map(printer.doprint, expressions[0]))
+                continue
+            if node.effect is None:
+                yield indent + language.local.format(symbols[0], printer.doprint(expressions[0]))
+                continue
+            if language.declared:
+                yield indent + language.declared.format(", ".join(map(str, symbols)))
+            openings = language.when.format(node.effect, node.title), language.otherwise
+            for k, (opening, branch) in enumerate(zip(openings, (node.values, node.dormant), strict=True)):
+                yield indent + opening
+                yield from lines_of((id(node), k), indent + "    ")
+                names = (sympy.Symbol(f"{symbols[0]}_{'cd'[k]}{j}", real=True) for j in count())
+                common, reduced = sympy.cse([*branch.values()], symbols=names, optimizations=[])
+                for form, lines in ((language.local, common), (language.assign, zip(branch, reduced, strict=True))):
+                    for symbol, e in lines:
+                        yield indent + "    " + form.format(symbol, printer.doprint(e))
+            if language.end:
+                yield indent + language.end
+
+    lines = [
+        *lines_of(None, "    "),
+        *("    " + language.store.format(k, printer.doprint(e)) for k, e in enumerate(ends)),
+    ]
     return language.frame(name, [*arguments.split(), "awake", "out"], "\n".join(lines).strip())
 
 
@@ -192,30 +207,3 @@ def _needed_blocks(blocks: Sequence[Block], results: Sequence[Any]) -> list[Bloc
             reduced.append(Block(values, block.effect, dormant, block.title))
             needed |= {s for e in (*values.values(), *dormant.values()) for s in e.free_symbols}
     return reduced[::-1]
-
-
-def _print_node(node: _Node, language: Language, printer: Any, indent: str) -> Iterator[str]:
-    """Yield the lines of a node."""
-    import sympy
-
-    symbols, expressions = [*node.branches[0]], [*node.branches[0].values()]
-    if node.call is not None:
-        form = language.angle if len(expressions[0]) == 1 else language.power
-        yield indent + form.format(node.call.place, *symbols, *map(printer.doprint, expressions[0]))
-        return
-    if node.effect is None:
-        yield indent + language.local.format(symbols[0], printer.doprint(expressions[0]))
-        return
-    if language.declared:
-        yield indent + language.declared.format(", ".join(map(str, symbols)))
-    for k, opening in ((AWAKE, language.when.format(node.effect, node.title)), (DORMANT, language.otherwise)):
-        yield indent + opening
-        for inner in reversed(node.within[k]):
-            yield from _print_node(inner, language, printer, indent + "    ")
-        names = (sympy.Symbol(f"{symbols[0]}_{'cd'[k]}{j}", real=True) for j in count())
-        common, reduced = sympy.cse([*node.branches[k].values()], symbols=names, optimizations=[])
-        for form, lines in ((language.local, common), (language.assign, zip(node.branches[k], reduced, strict=True))):
-            for symbol, e in lines:
-                yield indent + "    " + form.format(symbol, printer.doprint(e))
-    if language.end:
-        yield indent + language.end

@@ -84,7 +84,7 @@ class Body:
             stages = [*self.symbols.shaping(sympy.Symbol("h"))]
         command = stages[-1].command if stages else self.symbols.command
         after, before = ([x for stage in stages for x in getattr(stage, n)] for n in ("remembered", "memory"))
-        return Shaping(tuple(stage.changed[0] for stage in stages), (*command, *after), tuple(before))
+        return Shaping(tuple(stage.block.values for stage in stages), (*command, *after), tuple(before))
 
     def function(
         self, language: Language, name: str, expressions: Sequence[Any], before: Sequence[dict[Any, Any]] = ()

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from functools import cache
 from typing import Any
 
 Term = Mapping[Any, float]  # parameter symbols of a term → neutral values
@@ -203,64 +204,44 @@ def _find_skippable(lines: Sequence[tuple[Any, Any]], terms: Sequence[Term]) -> 
     """
     import sympy
 
-    if not terms:
-        return {}
-    users: dict[Any, list[tuple[Any, Any]]] = {}
-    for line in lines:
-        for symbol in line[1].free_symbols:
-            users.setdefault(symbol, []).append(line)
-    needs: dict[Any, set[int] | None] = {None: None}  # symbol of a subexpression → terms that need it; None for always
-    constants: dict[frozenset[int], dict[Any, Any]] = {}  # by dormant terms
-    remaining: dict[tuple[Any, frozenset[int]], set[Any]] = {}  # symbols of an expression while terms are dormant
-
-    def vanishes(symbol: Any, e: Any, dormant: frozenset[int]) -> bool:
-        """Return True if an expression no longer contains a symbol while some terms are dormant."""
-        if dormant not in constants:
-            known = constants[dormant] = {p: sympy.sympify(v) for k in dormant for p, v in terms[k].items()}
-            for name, line in lines:
-                if name is not None and (value := line.xreplace(known)).is_Number:
-                    known[name] = value
-        if (e, dormant) not in remaining:
-            remaining[e, dormant] = e.xreplace(constants[dormant]).free_symbols
-        return symbol not in remaining[e, dormant]
-
-    def terms_through(target: Any, e: Any, symbol: Any) -> set[int] | None:
-        """Return the terms that need a symbol in a line; None if the symbol is always needed."""
-        if not isinstance(e, sympy.Expr) or not e.is_polynomial(symbol):  # the effect of 0 on the line is unclear
-            return None
-        every = frozenset(range(len(terms)))
-        if not vanishes(symbol, e, every):
-            return terms_of(target)
-        for k in every:
-            if vanishes(symbol, e, frozenset((k,))):
-                return {k}
-        for k in every:
-            fewer = every - {k}
-            every = fewer if vanishes(symbol, e, fewer) else every
-        return set(every)
-
-    def terms_of(symbol: Any) -> set[int] | None:
-        if symbol not in needs:
-            needs[symbol] = _union(terms_through(*line, symbol) for line in users.get(symbol, ()))
-        return needs[symbol]
-
-    functions: dict[Any, set[int] | None] = {}
-    for symbol, e in lines:
-        for f in e.atoms(sympy.Function, sympy.Pow):
-            # functions and powers much slower than a branch
-            costly = type(f).__name__ in COSTLY or getattr(f, "is_costly", False) or (f.is_Pow and f.exp not in CHEAP)
-            if costly:
+    functions: list[dict[Any, tuple[Any, Any]]] = []  # per line: function → symbol in its place, changed expression
+    for _, e in lines if terms else ():
+        functions.append({})
+        for f in e.atoms(sympy.Function, sympy.Pow):  # those much slower than a branch
+            if type(f).__name__ in COSTLY or getattr(f, "is_costly", False) or (f.is_Pow and f.exp not in CHEAP):
                 place = sympy.Dummy(real=True)
-                needed = terms_of(symbol) if e == f else terms_through(symbol, e.xreplace({f: place}), place)
-                functions[f] = _union((functions.get(f, set()), needed))
-    return {
-        f: {p: float(value) for k in sorted(needed) for p, value in terms[k].items()}
-        for f, needed in functions.items()
-        if needed
-    }
+                functions[-1][f] = place, e.xreplace({f: place})
 
+    @cache
+    def is_clear(e: Any, symbol: Any) -> bool:
+        """Return True if the effect of 0 in place of a symbol is clear."""
+        return isinstance(e, sympy.Expr) and bool(e.is_polynomial(symbol))
 
-def _union(parts: Iterable[set[int] | None]) -> set[int] | None:
-    """Return the union of sets, None if one of them is None."""
-    every = [*parts]
-    return None if None in every else {k for part in every if part for k in part}
+    @cache
+    def needed(dormant: frozenset[int]) -> set[Any]:
+        """Return the functions on which results depend while some terms are dormant."""
+        known = {p: sympy.sympify(v) for k in dormant for p, v in terms[k].items()}
+        values = []
+        for name, e in lines:
+            values.append(e.xreplace(known))
+            if name is not None and values[-1].is_Number:
+                known[name] = values[-1]
+        symbols, found = {None}, set[Any]()
+        for (name, e), value, parts in reversed([*zip(lines, values, functions, strict=True)]):
+            if name in symbols:
+                symbols |= value.free_symbols | {s for s in e.free_symbols if not is_clear(e, s)}
+                for f, (place, changed) in parts.items():
+                    if not is_clear(changed, place) or place in changed.xreplace(known).free_symbols:
+                        found.add(f)
+        return found
+
+    skippable: dict[Any, Term] = {}
+    every = frozenset(range(len(terms)))
+    for f in dict.fromkeys(f for parts in functions for f in parts):
+        if f in needed(every):
+            continue
+        least = next((frozenset((k,)) for k in sorted(every) if f not in needed(frozenset((k,)))), every)
+        for k in sorted(least) if len(least) > 1 else ():
+            least = least - {k} if f not in needed(least - {k}) else least
+        skippable[f] = {p: float(value) for k in sorted(least) for p, value in terms[k].items()}
+    return skippable

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import sys
-from collections import defaultdict
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -28,20 +27,34 @@ class OfNumbersOnly(TypeError):
     """An operation in a model that needs a number instead of a symbol."""
 
 
+@dataclass(frozen=True)
+class Block:
+    """Symbols computed together.
+
+    Attributes:
+        values: Symbol → expression.
+        effect: Catalogue index of the required effect, None for unconditional blocks.
+        dormant: Symbol → expression while the effect is dormant.
+    """
+
+    values: dict[Any, Any]
+    effect: int | None = None
+    dormant: dict[Any, Any] = field(default_factory=dict)
+    title: str = ""
+
+
 class Shaped(NamedTuple):
     """Shaping of the command by one effect.
 
     Attributes:
-        number: Index of the effect in the catalogue.
         memory: Symbols of the old memory.
-        changed: Symbol → new expression; symbol → old value.
+        block: Changed values; dormant are the old ones.
         command, remembered: Symbols of the new command and the new memory.
     """
 
-    number: int
     effect: Any
     memory: Values
-    changed: tuple[dict[Any, Any], dict[Any, Any]]
+    block: Block
     command: Values
     remembered: Values
 
@@ -65,7 +78,7 @@ class SymbolicModel:
         """Return the expressions of a derivative or an output function."""
         return sympified(function(self.time, self.state, self.command))
 
-    def shaping(self, step: Any, *, only_changes: bool = False) -> Iterator[Shaped]:
+    def shaping(self, step: Any) -> Iterator[Shaped]:
         """Yield the shaping of the command by each effect.
 
         Later effects use plain symbols, as sympy is slow with nesting. Delays are left out, since a history is no
@@ -73,26 +86,24 @@ class SymbolicModel:
 
         Args:
             step: Symbol of the substep's length.
-            only_changes: Keep the symbols of unchanged values, and number the others by the index of the effect.
         """
         import sympy
 
-        command, stage, remembered = self.command, 0, 0
+        command, remembered = self.command, 0
         for k, effect in enumerate(self.model.effects):
             if effect.delay or not overrides((effect,), "shape", Effect):
                 continue
             own = tuple(sympy.Symbol(f"memory:{remembered + j}", real=True) for j in range(len(effect.memory)))
+            remembered += len(own)
             shaped, memory = effect.shape(SymbolNamespace(), self.time, step, command, own)
-            values, before, results = dict[Any, Any](), dict[Any, Any](), []
-            for j, e in enumerate(sympified((*shaped, *memory))):
-                old = (*command, *own)[j] if only_changes else None
+            block, results = Block({}, k, {}, f"{effect.name}.shape"), []
+            for j, (old, e) in enumerate(zip((*command, *own), sympified((*shaped, *memory)), strict=True)):
+                results.append(old)
                 if e != old:
-                    symbol = sympy.Symbol(f"s{k if only_changes else stage}_{j}", real=True)
-                    values[symbol], before[symbol] = e, old
-                results.append(e if e == old else symbol)
-            command, after = tuple(results[: len(shaped)]), tuple(results[len(shaped) :])
-            yield Shaped(k, effect, own, (values, before), command, after)
-            stage, remembered = stage + 1, remembered + len(own)
+                    results[-1] = symbol = sympy.Symbol(f"s{k}_{j}", real=True)
+                    block.values[symbol], block.dormant[symbol] = e, old
+            command, after = tuple(results[: len(command)]), tuple(results[len(command) :])
+            yield Shaped(effect, own, block, command, after)
 
     def places(self, parameters: Mapping[Any, str], memory: Iterable[Any] = ()) -> dict[Any, str]:
         """Return the place of each symbol in the arguments of printed functions, such as `x[0]` or `u[1]`.
@@ -155,25 +166,20 @@ def direct_dependencies(model: Model) -> dict[str, tuple[str, ...]]:
 
 def initial_dependencies(model: Model) -> dict[str, tuple[str, ...]]:
     """Return the parameters, start values and inputs that affect each initial output."""
-    dependencies: dict[str, set[str]] = defaultdict(set)
-    flags = [p.name for p in model.parameters if isinstance(p.default, bool)]
-    variants = []
-    for flag in (True, False):
-        s = symbolic(model, flag)
-        variants.append(s.evaluate(s.model.acting(SymbolNamespace()).output))
-        names = {symbol: name for name, symbol in s.parameters.items()}
-        names |= {symbol: q.name for symbol, q in zip(s.command, s.model.inputs, strict=True)}
-        names |= {symbol: f"{q.name}_start" for symbol, q in zip(s.state, s.model.states, strict=True)}
-        # start parameters that by default depend on other parameters
-        own = s.model.start_state(SymbolNamespace())
-        follows = dict(zip((f"{n}_start" for n in own), (e.free_symbols for e in sympified(own.values())), strict=True))
-        for q, expression in zip(model.outputs, variants[-1], strict=True):
-            direct = {names[symbol] for symbol in expression.free_symbols - {s.time}}
-            dependencies[q.name].update(direct, *({names[other] for other in follows.get(name, ())} for name in direct))
-    for q, with_flag, without in zip(model.outputs, *variants, strict=True):
-        if with_flag != without:
-            dependencies[q.name].update(flags)
-    return {name: tuple(sorted(names)) for name, names in dependencies.items()}
+    flags, m = [p.name for p in model.parameters if isinstance(p.default, bool)], SymbolNamespace()
+    variants = [symbolic(model, flag) for flag in (True, False)]
+    outputs = [s.evaluate(s.model.acting(m).output) for s in variants]
+    dependencies = [set(flags) if a != b else set[str]() for a, b in zip(*outputs, strict=True)]
+    for s, expressions in zip(variants, outputs, strict=True):
+        names = {symbol: {name} for name, symbol in s.parameters.items()}
+        names |= {symbol: {q.name} for symbol, q in zip(s.command, s.model.inputs, strict=True)}
+        starts = s.model.start_state(m)  # by default, start values may depend on parameters
+        for q, symbol in zip(s.model.states, s.state, strict=True):
+            (start,) = sympified([starts.get(q.name, q.start)])
+            names[symbol] = {f"{q.name}_start"}.union(*(names[other] for other in start.free_symbols))
+        for own, expression in zip(dependencies, expressions, strict=True):
+            own.update(*(names[symbol] for symbol in expression.free_symbols - {s.time}))
+    return {q.name: tuple(sorted(own)) for q, own in zip(model.outputs, dependencies, strict=True)}
 
 
 @contextmanager
@@ -188,20 +194,20 @@ def number_guard(*, smooth: bool = False) -> Iterator[None]:
     """
     import sympy
 
-    library = (str(Path(sympy.__file__).parent), *map(str, (SYMBOLIC, SYMBOLIC.parent / "namespaces.py")))
+    library = (str(Path(sympy.__file__).parent), *map(str, (SYMBOLIC, SYMBOLIC.parent / "namespaces.py")), "<")
 
     def guard(plain: Callable[[Any, Any], Any], name: str) -> Callable[[Any, Any], Any]:
         def operator(a: Any, b: Any) -> Any:
             if isinstance(a, sympy.Expr) and isinstance(b, (int, float, sympy.Expr)):
-                file = sys._getframe(1).f_code.co_filename
-                if not file.startswith((*library, "<")):
-                    symbols = a.free_symbols
-                    if smooth and name not in EQUALITIES:
-                        symbols = {s for s in symbols | sympy.sympify(b).free_symbols if s.name.startswith(VARYING)}
-                    if symbols:
-                        first, second = (b, a) if name.startswith("__r") else (a, b)
-                        text = f"{first} {SIGNS[name]} {second}".replace("state:", "").replace("input:", "")
-                        raise OfNumbersOnly(f"{text} {EQUALITY if name in EQUALITIES else REMAINDER}")
+                if sys._getframe(1).f_code.co_filename.startswith(library):
+                    return plain(a, b)
+                symbols, is_equality = a.free_symbols, name in EQUALITIES
+                if smooth and not is_equality:
+                    symbols = {s for s in symbols | sympy.sympify(b).free_symbols if s.name.startswith(VARYING)}
+                if symbols:
+                    first, second = (b, a) if name.startswith("__r") else (a, b)
+                    text = f"{first} {SIGNS[name]} {second}".replace("state:", "").replace("input:", "")
+                    raise OfNumbersOnly(f"{text} {EQUALITY if is_equality else REMAINDER}")
             return plain(a, b)
 
         return operator

@@ -8,20 +8,19 @@ serves every combination of effects, and a dormant effect costs one jump.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
 from typing import Any
 
 from cosim.model.effects import Delay
-from cosim.model.model import Effect, Model, overrides
+from cosim.model.model import Effect, Model
 from cosim.model.namespaces import SymbolNamespace
 from cosim.model.quantities import parameters_of
-from cosim.model.symbolic.symbols import number_guard, symbolic, sympified
+from cosim.model.symbolic.symbols import Block, number_guard, symbolic, sympified
 
 INTEGRATOR_HOOKS = ("shape", "remember")  # hooks called by the integrator instead of the equations
 
 
-class Untraceable(ValueError):
-    """A model without a symbolic form, e.g. with an effect undefined at its neutral value, or a custom delay.
+class UnprintableModel(ValueError):
+    """A model without a symbolic form or C equivalent, e.g. with an effect undefined at its neutral value.
 
     Attributes:
         owner, hook: Class and hook of the effect at fault, if any.
@@ -31,22 +30,6 @@ class Untraceable(ValueError):
     def __init__(self, text: str, owner: type | None = None, hook: str = "", cure: str = "") -> None:
         super().__init__(text)
         self.owner, self.hook, self.cure = owner, hook, cure
-
-
-@dataclass(frozen=True)
-class Block:
-    """Symbols computed together.
-
-    Attributes:
-        values: Symbol → expression.
-        effect: Catalogue index of the required effect, None for unconditional blocks.
-        dormant: Symbol → expression while the effect is dormant.
-    """
-
-    values: dict[Any, Any]
-    effect: int | None = None
-    dormant: dict[Any, Any] = field(default_factory=dict)
-    title: str = ""
 
 
 class Trace:
@@ -65,7 +48,7 @@ class Trace:
         step: Symbol of the substep's length.
 
     Raises:
-        Untraceable: An effect has no symbolic form.
+        UnprintableModel: An effect has no symbolic form.
         OfNumbersOnly: The equations use an operation that symbols lack.
     """
 
@@ -92,27 +75,23 @@ class Trace:
                     self.derivative[place] = symbol
                     place += 1
             self.outputs = s.evaluate(output)
-            if any(e.delay for e in overrides(self.effects, "shape", Effect)[1:]):
-                raise Untraceable(
-                    "the catalogue has a delay that is not its first effect; list one delay, as the first effect"
-                )
             for late in (e for e in self.effects if e.delay):
                 for hook in INTEGRATOR_HOOKS:
                     if getattr(type(late), hook) is not getattr(Delay, hook):
                         text = f"{late.name} overrides {hook}; C code supports only the delay of class `Delay`"
                         cure = "use it unchanged, or build without --native"
-                        raise Untraceable(text, type(late), hook, cure)
+                        raise UnprintableModel(text, type(late), hook, cure)
             self.step, self.shaped = sympy.Symbol("h", real=True), [*s.command]
             self.memory, self.remembered, self.started = list[Any](), list[Any](), list[Any]()
-            for stage in s.shaping(self.step, only_changes=True):
+            for stage in s.shaping(self.step):
                 effect = stage.effect
-                self.shaping.append(Block(stage.changed[0], stage.number, stage.changed[1], f"{effect.name}.shape"))
+                self.shaping.append(stage.block)
                 started = sympified(effect.remember(s.time, stage.memory))
                 if len(started) != len(stage.memory):
-                    text = f"{effect.name} declares {len(stage.memory)} quantities in memory, but remember returns"
-                    raise Untraceable(
-                        f"{text} {len(started)}", type(effect), "remember", "return one value per quantity"
+                    text = (
+                        f"{effect.name} has {len(stage.memory)} quantities in memory; remember returns {len(started)}"
                     )
+                    raise UnprintableModel(text, type(effect), "remember", "return one value per quantity")
                 self.memory += stage.memory
                 self.started += started
                 self.remembered += stage.remembered
@@ -177,7 +156,7 @@ class Trace:
                 at = ", ".join(f"{n} is {v:g}" for n, v in switches.items())
                 text = f"{effect.name} is not finite at {at}: {name} returns {asleep}"
                 cure = "use m.where to return another value there"
-                raise Untraceable(text, type(effect), name, cure)
+                raise UnprintableModel(text, type(effect), name, cure)
             if asleep == awake and (awake in passed or awake.is_Number):
                 return awake
             symbol = sympy.Symbol(f"b{len(self._calls)}_{len(block.values)}", real=True)

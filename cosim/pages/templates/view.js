@@ -180,7 +180,6 @@ class SignalPlot extends Chart {
   words(curve, cursor) {
     const { points, kind, text } = curve,
       isText = kind === "text";
-    if (curve.lost) return "removed";
     if (this.kind === "spectrum") return this.peak(points);
     if (cursor === null && isText) return "text, at the cursor";
     if (cursor === null) return this.host.isLive && points?.low.length ? readable(points.low.at(-1)) : "";
@@ -276,13 +275,8 @@ class Desk extends Linked {
       isReading: false,
       late: 0,
     });
-    const lists = new Map(); // one for the runs of a set, so that they share a tree
-    const allNames = (set, numbers, texts) => {
-      if (!lists.has(set)) lists.set(set, [...new Set([...numbers, ...texts])]);
-      return lists.get(set);
-    };
     this.runs = about.runs.map((run) => {
-      const [numbers, units, texts] = about.sets[run.set],
+      const { numbers, units, texts } = run,
         [own, kinds] = [Object.create(null), Object.create(null)],
         short = run.label.split(" (")[0],
         isOne = about.runs.filter(({ label }) => label.split(" (")[0] === short).length === 1;
@@ -292,7 +286,7 @@ class Desk extends Linked {
         own[name] ??= "";
       }
       for (const { name, unit } of run.derived) own[name] = unit;
-      const names = texts.length ? allNames(run.set, numbers, texts) : numbers,
+      const names = [...new Set([...numbers, ...texts])],
         derived = run.derived.map(({ name }) => name);
       return { ...run, short: isOne ? short : run.label, names, units: own, kinds, formulas: run.derived, derived };
     });
@@ -580,8 +574,6 @@ class Desk extends Linked {
     const part = (length) => numbers.subarray(at, (at += length));
     for (const curve of curves) {
       const [count, more] = part(2);
-      curve.lost = count < 0;
-      if (curve.lost) continue; // what is drawn of it stays
       if (path !== "points" || part(1)[0]) times.set(curve.run, part(count));
       const x = times.get(curve.run);
       if (path === "plane") {

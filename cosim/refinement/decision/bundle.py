@@ -17,10 +17,9 @@ from cosim.core.errors import FmuError, SimulationError
 from cosim.core.linear_algebra import least_squares
 from cosim.core.text import counted, join_names, plain
 from cosim.estimation.data import count_unscored, lagged_table
-from cosim.estimation.fit import Fit, fit, inverse, slopes, with_flat_directions
+from cosim.estimation.fit import Fit, fit, fit_for_held_out, inverse, slopes, with_flat_directions
 from cosim.estimation.kernel.kernel import Data
 from cosim.estimation.parallel import in_parallel, raise_if_cancelled
-from cosim.estimation.per_log import fit_for_held_out
 from cosim.estimation.posing import halve_log
 from cosim.estimation.problem import Problem, Scored
 from cosim.estimation.subject.candidates import (

@@ -18,7 +18,7 @@ from cosim.estimation.fit import Fit
 from cosim.estimation.problem import Problem
 from cosim.estimation.subject.candidates import WIDTHS, Candidate, Free, kind_within
 from cosim.estimation.subject.interface import Subject
-from cosim.logs.channel_noise import NORMAL_95
+from cosim.logs.log import NORMAL_95
 from cosim.refinement.decision.bundle import (
     beside_unnamed_terms,
     bundle_of,

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import chain, pairwise
@@ -28,18 +27,18 @@ from cosim.core.text import plain
 from cosim.credibility.bands import LEAST_ROWS, Coverage, Track, band_horizons, bands_of, coverage_of, track_of
 from cosim.credibility.record import Correlations, Credibility, ParameterRecord
 from cosim.estimation.data import past_reading, replayed
-from cosim.estimation.fit import Fit, inverse
+from cosim.estimation.fit import Fit, expected_values, group_values, inverse
 from cosim.estimation.kernel.kernel import MEMORY as LASTS
 from cosim.estimation.kernel.kernel import Begin, simulate_all
-from cosim.estimation.per_log import expected_values, group_values, own
 from cosim.estimation.posing import with_likely_starts, with_logs
 from cosim.estimation.problem import Noise, Problem
+from cosim.estimation.subject.candidates import own
 from cosim.estimation.subject.interface import Replayer, Start, Subject, Workplace
 from cosim.logs.log import Log
 from cosim.model.namespaces import arrays
 from cosim.refinement.decision.bundle import PARTS, fits_without_each_log
 from cosim.refinement.search.fits import Hypothesis, Search
-from cosim.residuals.drive import Drive, DriveApart
+from cosim.residuals.drive import drive_in
 from cosim.residuals.log_region import log_records, region_of_logs, rows_inside
 from cosim.residuals.residual_statistics import FREE_RUN, pool_errors, remaining_excess
 from cosim.residuals.windows import SKIPPED, Replay, window_rows
@@ -507,11 +506,8 @@ def credibility_of(
         replayed: Replays of the delivered model over its horizon, by set of logs.
     """
     logs, sealed = sets["estimation"], sets.get("validation", ())
-    problem, worker = search.problem, place.worker
-    drive: AbstractContextManager[Drive] = (
-        Drive(logs[0], fmu) if worker is None else DriveApart(worker, logs[0], fmu, limits=place.limits)
-    )
-    with drive as driven:
+    problem = search.problem
+    with drive_in(place.worker, logs[0], fmu, limits=place.limits) as driven:
         region = region_of_logs(driven, replayed["estimation"])
         inside = rows_inside(region, driven, replayed["validation"]) if sealed else []
     without = [variant] * len(logs)

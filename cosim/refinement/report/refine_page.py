@@ -1,19 +1,19 @@
-"""The page of a refinement, missing effect, evidence and improvement, and its errors before and after in words."""
+"""The page of a refinement: verdict, probabilities, logs, missing effect in the data, errors before and after."""
 
 from __future__ import annotations
 
 import hashlib
 import math
 import platform
-import shlex
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from statistics import geometric_mean
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
+from cosim.core.arrays import Array, Rows
 from cosim.core.text import (
     MISSING,
     amount,
@@ -27,23 +27,37 @@ from cosim.core.text import (
     plain,
     split_sentence,
 )
+from cosim.core.units import unit_of_rate
 from cosim.core.version import __version__
 from cosim.credibility.bands import Coverage
-from cosim.estimation.subject.candidates import Free
+from cosim.estimation.data import count_unscored, past_reading
+from cosim.estimation.fit import Fit
+from cosim.estimation.problem import Problem
+from cosim.estimation.subject.candidates import Candidate, Free
+from cosim.estimation.subject.interface import Subject
 from cosim.files.files import atomic_write, path_from_here
 from cosim.fmi.building.refined import NEAREST, REFINED
-from cosim.logs.channel_noise import NORMAL_95
+from cosim.logs.log import NORMAL_95
 from cosim.refinement.decision.claims import error_text, rounded
 from cosim.refinement.decision.posterior import CERTAIN
-from cosim.refinement.proof.measure import OTHER_HORIZONS, Part
+from cosim.refinement.proof.measure import Part, ReplayedLogs
 from cosim.refinement.refinement import Refinement
-from cosim.refinement.report.plots import innovations, modes, runs, shown_effects
 from cosim.refinement.search.fits import Hypothesis
-from cosim.report.charts import Charts
-from cosim.report.html_tables import Badge, Row
-from cosim.report.template import render
+from cosim.refinement.search.missing import (
+    MOST_ROWS,
+    contributions,
+    loosen_noise,
+    outputs_along,
+    smooth_logs,
+    smoothed_logs,
+)
+from cosim.refinement.search.unnamed import signal_units, signals_of
+from cosim.report.charts import Charts, Drawing, Plot
+from cosim.report.panels import Band, Panel, Trace, extent, signal_panel
+from cosim.report.template import Row, command, places, render
 from cosim.residuals.compare import horizon_name
-from cosim.residuals.residual_statistics import FREE_RUN, remaining_excess
+from cosim.residuals.report import neighbours
+from cosim.residuals.residual_statistics import FREE_RUN, lags_of, remaining_excess, rmse, whiteness
 from cosim.residuals.windows import SKIPPED
 
 TEMPLATE = Path(__file__).with_name("templates") / "refine.html.j2"
@@ -54,27 +68,24 @@ TOLERANCE = (
     "± is the tolerance of the data sheet; a parameter is wrong only if its whole interval lies outside the tolerance. "
     "Beside sensor errors alone, the model keeps its values."
 )
-WITHDRAWN = {  # reason → why a part is not claimed
-    "interval": "its interval holds the value without it",
-}
-Rows = list[dict[str, Any]]
+TableRows = list[dict[str, Any]]
 PARTS: Mapping[Part, str] = {"estimation": "Logs used for the fits", "validation": "Sealed logs"}
 
 
 def write_refine_report(path: Path, r: Refinement) -> None:
     """Write the self-contained page of a refinement."""
     charts, record, claimed = Charts(), r.record, r.verdict.claimed
-    answer, tables, leading = answer_of(r), error_tables(r), leading_channel(r)
+    tables, leading = error_tables(r), leading_channel(r)
     duration = plain(sum(float(log.time[-1] - log.time[0]) for log in r.study.logs))
     sealed = len(r.evidence["before"].get("validation", ()))
     tried = [entry for entry in record["candidates"] if entry["names"]]  # without the model recalibrated
     values = {
         "name": f"Study {r.study.name}",
-        "answer": answer,
+        "answer": answer_of(r),
         "badges": [
-            Badge(f"{counted(len(r.study.logs), 'log')} used for the fits, {duration} s"),
-            Badge(f"{counted(sealed, 'log')} sealed until the end") if sealed else Badge("no log sealed", "warn"),
-            Badge(f"{record['seconds']:.0f} s elapsed"),
+            f"{counted(len(r.study.logs), 'log')} used for the fits, {duration} s",
+            f"{counted(sealed, 'log')} sealed until the end" if sealed else ("no log sealed", "warn"),
+            f"{record['seconds']:.0f} s elapsed",
         ],
         "r": r,
         "record": record,
@@ -83,7 +94,6 @@ def write_refine_report(path: Path, r: Refinement) -> None:
         "largest": next((row for row in tables[-1]["rows"] if row["channel"] == leading), None),
         "skipped": f"{SKIPPED:g}\u00a0s",
         "sealed": sealed,
-        "horizons": horizon_table(r),
         "coverage": Coverage.model_validate(record["coverage"]).sentence if record["coverage"] else "",
         "horizon": horizon(r),
         "terms": shown_effects(r, charts),
@@ -96,19 +106,15 @@ def write_refine_report(path: Path, r: Refinement) -> None:
         "posterior": posterior_rows(r),
         "inclusion": inclusion_rows(r),
         "certain": CERTAIN,
-        "percent": percent,
-        "plain": plain,
         "dispersed": DISPERSED,
         "parameters": parameter_tables(r),
         "per_log": per_log_rows(r),
         "noise": noise_rows(r),
         "repeat": _repeat(r),
         "provenance": _provenance(r),
-        "data": charts.data(),  # after all drawings
-        "version": __version__,
     }
     with atomic_write(path) as stream:
-        stream.write(render(TEMPLATE, values))
+        stream.write(render(TEMPLATE, values, charts))
 
 
 @dataclass(frozen=True)
@@ -151,7 +157,7 @@ def _next_step(r: Refinement) -> tuple[str, str]:
     folder, subject = path_from_here(r.folder), r.study.subject
     if r.verdict.name == "ambiguous":
         step = f"Record a log with {r.verdict.experiment}. To design the input, and see if it would decide:"
-        return step, shlex.join(["cosim", "excite", str(folder)])
+        return step, command("cosim", "excite", str(folder))
     if r.verdict.name == "unexplained":
         own = "Add an effect of your own to the model"
         if subject.probed:
@@ -160,24 +166,24 @@ def _next_step(r: Refinement) -> tuple[str, str]:
         return f"{own}, and repeat the study:", _repeat(r)
     is_nearest = r.verdict.claimed is None and r.verdict.nearest is not None
     name: Literal["refined", "nearest"] = "nearest" if is_nearest else "refined"
-    command = subject.use(folder, name)
-    if not command:
+    use = subject.use(folder, name)
+    if not use:
         return "Use the refined object: it exists in Python only.", ""
     unclaimed = "recalibrated" if is_nearest else "unchanged"
     what = "the refined model" if r.verdict.claimed else f"the given model, {unclaimed}"
-    return f"Use {Path(command[-1]).name}, {what}. To simulate it:", shlex.join(command)
+    return f"Use {Path(use[-1]).name}, {what}. To simulate it:", command(*use)
 
 
 def _repeat(r: Refinement) -> str:
     """Return the command that repeats the study, or ""."""
     if r.study.path is None:
         return ""
-    return shlex.join(["cosim", "refine", str(path_from_here(r.study.path)), "--out", str(path_from_here(r.folder))])
+    return command("cosim", "refine", str(path_from_here(r.study.path)), "--out", str(path_from_here(r.folder)))
 
 
 def _provenance(r: Refinement) -> list[Row]:
     """Return the files of the study and of its results, and the versions."""
-    study, subject, claim, inputs = r.study, r.study.subject, r.verdict.claimed, r.record["inputs"]
+    study, subject, claim = r.study, r.study.subject, r.verdict.claimed
     rows = [Row("Study", str(path_from_here(study.path)))] if study.path else []
     rows.append(Row("Model", str(path_from_here(subject.source)), study.content.model if study.path else ""))
     logs = [("Estimation log", log) for log in study.logs]
@@ -185,11 +191,8 @@ def _provenance(r: Refinement) -> list[Row]:
     for label, log in logs:
         note = f"{log.rows} rows, t = {log.time[0]:g} … {log.time[-1]:g} s, measures {', '.join(log.outputs)}"
         rows.append(Row(label, str(path_from_here(log.path)), f"{note}\n{_digest(log.path)}"))
-    gain, note = inputs["gain_otherwise"], ""
-    if gain is not None:
-        raises = "raises" if gain > 0.0 else "lowers"
-        note = f"the other way, held or interpolated, {raises} the log-likelihood by {plain(abs(gain))}"
-    rows.append(Row("Inputs between rows", ", ".join(f"{n} {way}" for n, way in inputs["taken"].items()), note))
+    taken = r.record["inputs"]["taken"].items()
+    rows.append(Row("Inputs between rows", ", ".join(f"{n} {way}" for n, way in taken)))
     labels = ("Refined model", "Refined FMU") if claim else ("Model, unchanged", "FMU, unchanged")
     licence = f"\ncontains {Path(subject.source).name}: check its licence before you distribute it" * subject.probed
     for name, label in zip((*REFINED, *NEAREST), (*labels, "Nearest model", "Nearest FMU"), strict=True):
@@ -207,7 +210,7 @@ def _digest(path: Path) -> str:
         return f"sha256 {hashlib.file_digest(stream, 'sha256').hexdigest()}"
 
 
-def ranking(r: Refinement) -> Rows:
+def ranking(r: Refinement) -> TableRows:
     """Return the rows of the hypotheses, best first."""
     claim, declared, rows = r.verdict.claimed, r.study.subject.declared, list[dict[str, Any]]()
     for e in (e for e in r.record["candidates"] if e["names"]):
@@ -215,50 +218,41 @@ def ranking(r: Refinement) -> Rows:
         for n, value in e["parameters"].items():
             short = n.removesuffix(".value") if len(names) > 1 else n.partition(".")[2] or "value"
             values.append(f"{short} = {amount(value, declared[n].unit if n in declared else '')}")
-        row = {
-            "names": " + ".join(names),
-            "gain": plain(gain),
-            "fitted": ", ".join(values),
-            "why": e["why"],
-            "claimed": claim is not None and tuple(names) == claim.names,
-        }
-        rows.append(row)
+        row = {"names": " + ".join(names), "gain": plain(gain), "fitted": ", ".join(values), "why": e["why"]}
+        rows.append({**row, "claimed": claim is not None and tuple(names) == claim.names})
     return rows
 
 
-def posterior_rows(r: Refinement) -> Rows:
+def posterior_rows(r: Refinement) -> TableRows:
     """Return the probable sets of parts, the recalibrated model and the delivered set; what remains is one row."""
     record, claim, near, rows = r.record, r.verdict.claimed, r.verdict.nearest, list[dict[str, Any]]()
-    held_out = {
-        frozenset[str](e["names"]): percent(e["ratio"])
-        + (f" ± {percent(e['ratio'] * e['standard_error'])}" if e["standard_error"] else "")
-        for e in record["ladder"]
-        if e["model"] != "before"
-    }
-    claimed = "delivered" if r.verdict.name == "ambiguous" else "claimed"  # of rivals, the whole set is no claim
-    delivered = {h.key: outcome for h, outcome in ((near, "nearest model"), (claim, claimed)) if h}
-    sealed = {frozenset[str](): "recalibrated"} | ({near.key: "nearest"} if near else {})
-    sealed |= {claim.key: "after"} if claim else {}
-    others = []
+    held_out = {}
+    for e in record["ladder"]:
+        if e["model"] != "before":
+            spread = f" ± {percent(e['ratio'] * e['standard_error'])}" if e["standard_error"] else ""
+            held_out[frozenset(e["names"])] = percent(e["ratio"]) + spread
+    outcome = "delivered" if r.verdict.name == "ambiguous" else "claimed"  # of rivals, the whole set is no claim
+    known = [(near, "nearest model", "nearest"), (claim, outcome, "after")]  # with the key of its errors
+    delivered = {h.key: (outcome, variant) for h, outcome, variant in known if h}
+    others = 0
+    rest = {"share": 0.0, "why": "", "error": MISSING, "sealed": MISSING, "claimed": False}
     for entry in record["posterior"]:
         names, probability = frozenset[str](entry["names"]), entry["probability"]
         if names and names not in delivered and probability < 1.0 - CERTAIN:
-            others.append(probability)
+            others, rest["share"] = others + 1, rest["share"] + probability
             continue
+        outcome, variant = delivered.get(names, ("", "" if names else "recalibrated"))
         rival = "rival" if r.verdict.decision.is_rival(names) else ""
         row = {
             "names": " + ".join(entry["names"]) or "nothing: the model recalibrated",
             "share": probability,
-            "why": ", ".join(filter(None, (rival, delivered.get(names, "")))),
+            "why": ", ".join(filter(None, (rival, outcome))),
             "error": held_out.get(names, MISSING),
-            "sealed": percent(_sealed_ratio(record["error"], sealed.get(names, ""))),
-            "claimed": delivered.get(names) == "claimed",
+            "sealed": percent(_sealed_ratio(record["error"], variant)),
+            "claimed": outcome == "claimed",
         }
         rows.append(row)
-    if others:
-        row = {"names": f"{counted(len(others), 'other set')} together", "share": sum(others), "why": ""}
-        rows.append({**row, "error": MISSING, "sealed": MISSING, "claimed": False})
-    return rows
+    return [*rows, {"names": f"{counted(others, 'other set')} together", **rest}] if others else rows
 
 
 def _sealed_ratio(errors: Mapping[str, Any], variant: str) -> float:
@@ -268,24 +262,25 @@ def _sealed_ratio(errors: Mapping[str, Any], variant: str) -> float:
     return geometric_mean(ratios) if ratios else math.nan
 
 
-def inclusion_rows(r: Refinement) -> Rows:
+def inclusion_rows(r: Refinement) -> TableRows:
     """Return the probable parts, most probable first, with what became of them."""
     decision, rows = r.verdict.decision, list[dict[str, Any]]()
-    withdrawn = {name: WITHDRAWN.get(why, "") for why, _, name in (r.partition(": ") for r in decision.reasons)}
-    withdrawn |= dict.fromkeys(decision.disputed, "the model also lacks something without a name")
+    withdrawn = dict.fromkeys(decision.disputed, "the model also lacks something without a name")
+    for reason, _, name in (text.partition(": ") for text in decision.reasons):
+        withdrawn.setdefault(name, "its interval holds the value without it" if reason == "interval" else "")
     for name, probability in sorted(decision.inclusion.items(), key=lambda item: -item[1]):
+        if probability < 1.0 - CERTAIN:
+            continue
         why = "uncertain" if name in decision.uncertain else ""
         if name in withdrawn or probability >= CERTAIN:
             why = f"withdrawn: {withdrawn.get(name, 'the logs are not explained')}"
         claimed = name in decision.claimed
-        text = f"{name} {percent(probability)}"
-        row = {"name": name, "text": text, "share": probability, "why": "claimed" if claimed else why}
-        row["claimed"] = claimed
-        rows += [row] if probability >= 1.0 - CERTAIN else []
+        row = {"name": name, "text": f"{name} {percent(probability)}", "share": probability, "claimed": claimed}
+        rows.append({**row, "why": "claimed" if claimed else why})
     return rows
 
 
-def parameter_tables(r: Refinement) -> Rows:
+def parameter_tables(r: Refinement) -> TableRows:
     """Return the tables of added and of base parameters, of the claim or the recalibrated and the nearest model."""
     near, found = r.verdict.nearest, []
     shown = [(r.verdict.claimed or r.verdict.base, "")]
@@ -299,13 +294,12 @@ def parameter_tables(r: Refinement) -> Rows:
 
 
 def _parameter_row(r: Refinement, free: Free, h: Hypothesis) -> dict[str, Any]:
-    """Return an estimate with its interval, and the places of both between the value before and the interval."""
+    """Return an estimate with its interval, and their places on a ruler."""
     declared, fit, start = r.study.subject.declared[free.name], h.fit, r.problem.values[free.name]
     own, value, (low, high) = declared.unit, fit.values[free.name], fit.interval(free.name)
     unit, factor = display(own)
-    ends, places = (min(start, low), max(start, high)), {"neutral": start, "low": low, "high": high, "estimate": value}
-    half = NORMAL_95 * fit.sigma(free.name)
-    estimate, lower, upper = (rounded(displayed(x, own), half * factor) for x in (value, low, high))
+    half = factor * NORMAL_95 * fit.sigma(free.name)
+    estimate, lower, upper = (rounded(displayed(x, own), half) for x in (value, low, high))
     neutral = amount(start, own, None)
     if free.prior:  # the tolerance is the half-width of the 95 % interval of the prior
         tolerance = amount(NORMAL_95 * free.prior[1], own, 2, difference=True)
@@ -316,40 +310,36 @@ def _parameter_row(r: Refinement, free: Free, h: Hypothesis) -> dict[str, Any]:
         "value": append_unit(estimate, unit),
         "interval": f"{lower} … {append_unit(upper, unit)}",
         "bounds": f"{plain(displayed(free.low, own), None)} … {amount(free.high, own, None)}",
-        "at": {key: np.interp(x, ends, (0.0, 1.0)) for key, x in places.items()},
+        "places": places(dot=value, low=low, high=high, neutral=start),
         "meaning": declared.doc,
     }
 
 
-def per_log_rows(r: Refinement) -> Rows:
+def per_log_rows(r: Refinement) -> list[tuple[str, ...]]:
     """Return a row for each parameter per log and group, fitted values first."""
     rows = []
     for name, entry in r.record["per_log"].items():
         unit = entry["unit"]
         for group, e in (entry["groups"] | entry["followed"]).items():
-            interval, how = MISSING, "fitted"
-            if "ci95" in e:
-                interval = " … ".join(amount(bound, unit) for bound in e["ci95"])
-            else:
+            interval, how = " … ".join(amount(bound, unit) for bound in e.get("ci95", ())), "fitted"
+            if not interval:
                 start = f"{amount(e['expected'], unit)} ± {amount(e['spread'], unit, 2, difference=True)}"
                 how = f"by the filter at the end of the log, from {start} (one standard deviation)"
-            value = amount(e["value"], unit, None)
-            rows.append({"name": name, "group": group, "value": value, "interval": interval, "how": how})
+            rows.append((name, group, amount(e["value"], unit, None), interval or MISSING, how))
     return rows
 
 
-def noise_rows(r: Refinement) -> Rows:
+def noise_rows(r: Refinement) -> list[tuple[str, ...]]:
     """Return the process noise of each equation; none if the fit trusted the equations.
 
     √q is the drift of a state in a second that its equation does not explain, in the unit of the state per √s.
     """
     units, rows = {q.name: q.unit for q in r.study.subject.states}, []
     for name, q in ({} if r.problem.trusted else r.record["residual"]["process_noise"]).items():
-        sizes = {key: math.sqrt(q[key]) for key in ("before", "after")}
-        unit, factor = finer(units.get(name, ""), max(sizes.values()))
-        row: dict[str, Any] = {"equation": name, "words": "incomplete" if q["inflated"] else "complete"}
-        row |= {key: append_unit(plain(x * factor, 2), f"{unit} per √s".lstrip()) for key, x in sizes.items()}
-        rows.append(row)
+        sizes = math.sqrt(q["before"]), math.sqrt(q["after"])
+        unit, factor = finer(units.get(name, ""), max(sizes))
+        texts = (append_unit(plain(x * factor, 2), f"{unit} per √s".lstrip()) for x in sizes)
+        rows.append((name, *texts, "incomplete" if q["inflated"] else "complete"))
     return rows
 
 
@@ -390,25 +380,6 @@ def error_tables(r: Refinement) -> list[dict[str, Any]]:
     return tables
 
 
-def horizon_table(r: Refinement) -> dict[str, Any]:
-    """Return the errors over each horizon, shortest first; horizons shorter than a log's step are omitted."""
-    part, subject, error = decisive_part(r), r.study.subject, r.record["error"]
-    better = "after" if r.verdict.claimed else "nearest" if error.get("nearest") else ""
-    errors = {seconds: r.record["horizons"][name] for name, seconds in OTHER_HORIZONS.items()}
-    errors[subject.horizon] = error
-    ordered, rows = sorted(h for h in errors if errors[h]["before"][part]), []
-    for channel in error["before"][part]:
-        pairs = [[errors[h][m].get(part, {}).get(channel, math.nan) for m in ("before", better) if m] for h in ordered]
-        rows.append((channel, [" → ".join(error_text(subject, channel, e, pair[-1]) for e in pair) for pair in pairs]))
-    to = {"after": " → the refined one", "nearest": " → the nearest one"}.get(better, "")
-    return {
-        "title": PARTS[part],
-        "heading": f"The given model{to}, over",
-        "horizons": [*map(horizon_name, ordered)],
-        "rows": rows,
-    }
-
-
 def leading_channel(r: Refinement) -> str:
     """Return the channel with the largest error of the given model relative to the noise floor, or ""."""
     part = decisive_part(r)
@@ -431,3 +402,315 @@ def second_sentence(r: Refinement) -> str:
         text = f"{where} the given model misses {name} by {shown['after']} over {horizon(r)}"
         text += f", the nearest model by {shown['nearest']}" if sizes["nearest"] < sizes["after"] else ""
     return f"{text}." if math.isnan(sizes["floor"]) else f"{text}; the noise floor is {shown['floor']}."
+
+
+TIMES = " · "  # between the signals of a product
+
+
+def runs(r: Refinement, charts: Charts, leading: str) -> list[dict[str, Any]]:
+    """Return title, channels and plots of the first sealed and estimation log, the leading channel first."""
+    pages = []
+    words: dict[Part, str] = {"validation": "sealed", "estimation": "used for the fits"}
+    for part, word in words.items():
+        before, after, near = (r.evidence.get(v, {}).get(part) for v in ("before", "after", "nearest"))
+        if not before or not after:
+            continue
+        log, old = before[0]
+        curves = [("model", "true", after)]
+        if r.verdict.claimed:
+            curves = [("before", "s1", before), ("refined", "true", after)]
+        elif r.verdict.nearest and near:
+            curves = [("model", "s1", before), ("nearest", "true", near)]
+        drawing = charts.over(log.time, breaks=sorted(old.starts))
+        names = sorted(log.outputs, key=lambda name: name != leading)
+        plots = [plot for name in names for plot in _channel(drawing, curves, name)]
+        pages.append({"title": f"{log.path.name}, {word}", "channels": ", ".join(names), "plots": plots})
+    return pages
+
+
+def _channel(drawing: Drawing, curves: Sequence[tuple[str, str, ReplayedLogs]], name: str) -> list[Plot]:
+    """Draw a channel of a log: measurement with model, and residual.
+
+    The model's output is the reading minus its error, and includes sensor errors in the model.
+
+    Args:
+        curves: Label, style and replays of each model.
+    """
+    log, old = curves[0][2][0]
+    errors = [(label, e[0][1].errors(e[0][0])[name], style) for label, style, e in curves]
+    unit, reading = log.units.get(name, ""), log.outputs[name]
+    fine, scale = finer(unit, max(rmse(e) for _, e, _ in errors))
+    lines = [("measured", reading, "estimate"), *((label, reading - e, style) for label, e, style in errors)]
+    residuals = [Trace(label, e * scale, style) for label, e, style in errors]
+    starts, inside = sorted(old.starts), np.zeros(log.time.size, dtype=bool)
+    for k in starts[::2]:
+        inside |= (log.time >= log.time[k]) & (log.time <= log.time[k] + old.horizon)
+    panels = []
+    for panel in (signal_panel(name, unit, lines), Panel(f"{name}: measured − model", fine or "1", residuals)):
+        traces = [replace(trace, anew=trace.label != "measured") for trace in panel.traces]
+        ends, band = extent([trace.values for trace in traces]), None
+        if ends is not None and len(starts) > 1:
+            band = Band("every other replay", *(np.where(inside, end, np.nan) for end in ends))
+        panels.append(replace(panel, traces=traces, band=band))
+    return drawing.plots(panels)
+
+
+def innovations(r: Refinement, charts: Charts) -> list[dict[str, Any]]:
+    """Return statistics and plots of the normalised innovations of each channel.
+
+    Without a claim, the filter of the fit is compared with a filter that trusts its equations.
+    """
+    after, problem = r.variants["after"], r.problem
+    pairs = [(after, replace(after.noise, power=problem.noise.smallest)), (after, after.noise)]
+    if r.verdict.claimed:
+        pairs[0] = (r.variants["before"], after.noise)
+    both = []
+    for variant, noise in pairs:
+        parts = []
+        for k, data in enumerate(problem.logs):
+            run = problem.run(variant.values, noise, k, states=False)
+            first = min(count_unscored(data), max(0, len(run.errors) - 2))
+            scaled = (run.errors / np.sqrt(run.variances))[first:]
+            parts.append(np.where(np.isfinite(scaled), scaled, np.nan))
+        both.append(parts)
+    names, styles, step = modes(r), ("s1", "true"), problem.logs[0].step
+    drawing = charts.over(problem.logs[0].times[-len(both[0][0]) :])
+    lags = lags_of(min(len(part) for part in both[0]), step)
+    over_lags = charts.over(step * np.arange(1.0, lags + 1.0), ("lag", "s"))
+    gap = np.full(lags + 1, np.nan)  # beyond any lag, between logs
+    found = []
+    for channel in dict.fromkeys(n for log in r.study.logs for n in log.outputs if n in problem.layout.outputs):
+        column = problem.layout.outputs.index(channel)
+        series = [[part[:, column] for part in parts] for parts in both]
+        tests = [whiteness(np.concatenate([piece for part in s for piece in (part, gap)]), lags) for s in series]
+        edge, width = np.full(series[0][0].size, NORMAL_95), np.full(lags, np.nan_to_num(tests[1].band))
+        traces = [Trace(n, s[0], style) for n, s, style in zip(names, series, styles, strict=True)]
+        rho = [Trace(n, test.rho[1:], style) for n, test, style in zip(names, tests, styles, strict=True)]
+        course = Panel(f"Innovation of {channel}", "σ", traces, Band("95 % of what is expected", -edge, edge))
+        beside = Panel(f"Autocorrelation of {channel}", "1", rho, Band("95 % band if white", -width, width))
+        row = {
+            "channel": channel,
+            "size": [plain(rmse(np.concatenate(s)), 2) for s in series],
+            "neighbours": [neighbours(t) for t in tests],
+            "white": [MISSING if np.isnan(t.p_value) else "yes" if t.white else "no" for t in tests],
+            "plots": [*drawing.plots([course]), *over_lags.plots([beside])],
+        }
+        found.append(row)
+    return found
+
+
+def modes(r: Refinement) -> tuple[str, str]:
+    """Return the labels of the compared models, or of the compared filters without a claim."""
+    return ("before", "refined") if r.verdict.claimed else ("equations trusted", "disturbance estimated")
+
+
+class Regressor(NamedTuple):
+    """A signal as horizontal axis of a missing derivative, with the rows of some logs in sequence."""
+
+    name: str
+    unit: str
+    values: Array
+
+
+@dataclass(frozen=True, eq=False)
+class EffectComparison:
+    """A missing quantity, estimated from the logs, and the claimed term.
+
+    Attributes:
+        where: State or channel of the missing quantity.
+        unit: Unit of the missing quantity.
+        estimated: Estimate without the claim, row by row; `sigma`: its standard deviation.
+        term: Claimed value; None without a claim.
+        first: Number of rows of the first log.
+    """
+
+    effect: str
+    kind: str
+    where: str
+    unit: str
+    against: Regressor
+    time: Array
+    estimated: Array
+    sigma: Array
+    first: int
+    term: Array | None = None
+
+    @property
+    def quantity(self) -> str:
+        """Return the missing quantity in words."""
+        return f"error of {self.where}" if self.kind == "sensor" else f"missing derivative of {self.where}"
+
+    @property
+    def share(self) -> float:
+        """Return the mean square share explained by the term."""
+        return math.nan if self.term is None else _explained(self.estimated, self.term)
+
+
+def _explained(values: Array, term: Array) -> float:
+    """Return the share of a mean square that a term explains, at least 0."""
+    power = float(np.mean(values**2))
+    return max(0.0, 1.0 - float(np.mean((values - term) ** 2)) / power) if power else math.nan
+
+
+def compare_effects(r: Refinement) -> list[EffectComparison]:
+    """Return a comparison for each claimed effect; without a claim, the missing derivative that is unexplained."""
+    claim, problem, subject = r.verdict.claimed, r.problem, r.study.subject
+    if claim is None:
+        return [_compare_equation(r, r.verdict.best.fit)] if r.verdict.name == "unexplained" else []
+    compared = []
+    for c in claim.candidates:
+        if c.kind == "sensor":
+            compared.append(_compare_sensor(subject, problem, c, claim.fit))
+            continue
+        without = r.verdict.base.fit
+        if len(claim.candidates) > 1:  # the other candidates stay, so that only this term is missing
+            neutral = {n: problem.values[n] for n in c.parameters}
+            without = replace(without, values={**claim.fit.values, **neutral})
+        compared.append(_compare_equation(r, without, c, claim.fit))
+    return compared
+
+
+def _compare_equation(
+    r: Refinement, without: Fit, candidate: Candidate | None = None, with_it: Fit | None = None
+) -> EffectComparison:
+    """Compare the derivative that a model lacks with the term of a claimed candidate, if any.
+
+    The comparison is for the equation whose term is largest relative to the uncertainty; without a candidate, for the
+    equation of the residual.
+    """
+    subject, problem = r.study.subject, r.problem
+    missing = smooth_logs(problem, without, deviations=bool(candidate) and problem.layout.is_free_run)
+    terms = missing.value
+    if with_it is not None:
+        terms = np.vstack([contributions(problem, without, with_it, k) for k in range(len(missing.rows))])
+    column = int(np.argmax(np.sqrt(np.mean(terms**2, axis=0)) / np.median(missing.sigma, axis=0)))
+    if candidate is None and r.verdict.residual["equation"] in missing.equations:
+        column = missing.equations.index(r.verdict.residual["equation"])
+    where = missing.equations[column]
+    drawn = subject.drawn_against.get(candidate.name, ()) if candidate else ()
+    return EffectComparison(
+        effect=candidate.name if candidate else "",
+        kind=candidate.kind if candidate else "nameless",
+        where=where,
+        unit=next((unit_of_rate(q.unit) for q in subject.states if q.name == where), ""),
+        against=_choose(subject, signals_of(problem, missing), drawn, terms[:, column]),
+        time=missing.time,
+        estimated=missing.value[:, column],
+        sigma=missing.sigma[:, column],
+        first=missing.rows[0].stop - missing.rows[0].start,
+        term=terms[:, column] if candidate else None,
+    )
+
+
+def _compare_sensor(subject: Subject, problem: Problem, c: Candidate, claim: Fit) -> EffectComparison:
+    """Compare estimated and claimed error of a sensor, along the filtered states of the refined model.
+
+    The comparison is for the output with the largest error.
+    """
+    kind: Any = next(k for k in subject.sensors if k.name == c.name)
+    names, parts, noise = problem.layout.outputs, [], loosen_noise(problem, claim.noise)
+    neutral = {**claim.values, **{n: problem.values[n] for n in c.parameters}}
+    for index in smoothed_logs(problem):
+        data, run = problem.logs[index], problem.run(claim.values, noise, index)
+        count = min(len(data.u), MOST_ROWS) - 1
+        clean = outputs_along(problem, index, neutral, run, count)
+        wrong, times = outputs_along(problem, index, claim.values, run, count), data.times[:count]
+        if kind.depends_on_past():
+            sensor = kind(value=claim.values[c.parameters[0]])
+            wrong = np.column_stack([past_reading(sensor, times, column) for column in clean.T])
+        rate = np.gradient(clean, data.step, axis=0)
+        scored = slice(min(count_unscored(data), count - 1), count)
+        parts.append([rows[scored] for rows in (times, clean, wrong, data.y[:count], rate)])
+    time, clean, wrong, y, rate = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
+    sizes = np.sqrt(np.nanmean((wrong - clean) ** 2, axis=0) / problem.r)
+    channel = max((names.index(n) for n in kind.affected() if n in names), key=lambda k: sizes[k])
+    rows = np.isfinite(y[:, channel]) & np.isfinite(wrong[:, channel])
+    name, term = names[channel], (wrong - clean)[rows, channel]
+    signals = {"time": time[rows], **dict(zip(names, clean[rows].T, strict=True))}
+    signals[f"rate of {name}"] = rate[rows, channel]
+    return EffectComparison(
+        effect=c.name,
+        kind="sensor",
+        where=name,
+        unit=next(q.unit for q in subject.outputs if q.name == name),
+        against=_choose(subject, signals, subject.drawn_against.get(c.name, ()), term),
+        time=time[rows],
+        estimated=(y - clean)[rows, channel],
+        sigma=np.full(len(term), float(np.sqrt(problem.r[channel]))),
+        first=int(rows[: len(parts[0][0])].sum()),
+        term=term,
+    )
+
+
+def _choose(subject: Subject, signals: Mapping[str, Array], suggested: Sequence[str], values: Array) -> Regressor:
+    """Return the signal whose bins explain most of the variance of `values`; suggested signals have precedence."""
+    units = signal_units(subject)
+    names = [n for n in suggested if all(one in signals for one in n.split(TIMES))]
+    found = []
+    for name in names or [n for n in signals if n in units and n.partition(".")[0] not in subject.present]:
+        parts = name.split(TIMES)
+        x = np.prod([signals[one] for one in parts], axis=0)
+        if units.get(name) == "rad" and np.ptp(x) > 2.0 * np.pi:  # a turning angle, wrapped into one turn
+            x = np.mod(x, 2.0 * np.pi)
+        found.append(Regressor(name, TIMES.join(units[one] for one in parts), x))
+    return min(found, key=lambda s: sum(float(np.var(values[rows])) * rows.size for rows in _bins(s.values)))
+
+
+def _bins(x: Array) -> list[Rows]:
+    """Return the rows in intervals of x with √n rows each."""
+    return np.array_split(np.argsort(x, kind="stable"), max(1, round(math.sqrt(x.size))))
+
+
+# -- page -------------------------------------------------------------------------------------
+
+
+def shown_effects(r: Refinement, charts: Charts) -> list[dict[str, Any]]:
+    """Return title, sentence and plots of each comparison."""
+    return [
+        {
+            "title": s.effect or s.where,
+            "brief": s.quantity if s.term is None else f"{s.effect} explains {percent(s.share)} of the {s.quantity}",
+            "sentence": f"{_sentence(s)} ({counted(s.estimated.size, 'row')} of the estimation logs).",
+            "plots": _plots(s, charts),
+        }
+        for s in compare_effects(r)
+    ]
+
+
+def _sentence(s: EffectComparison) -> str:
+    """Return a sentence on a term's share."""
+    if s.term is None:
+        return f"The {s.quantity} is drawn against {s.against.name}, which it follows most"
+    text = f"Of the mean square {s.quantity}, {s.effect} explains {percent(s.share)}"
+    if s.kind == "sensor":
+        return f"{text}; the rest is the noise of the sensor"
+    estimated, term = (np.array([v[rows].mean() for rows in _bins(s.against.values)]) for v in (s.estimated, s.term))
+    return f"{text} row by row, and {percent(_explained(estimated, term))} of means over {s.against.name}"
+
+
+def _plots(s: EffectComparison, charts: Charts) -> list[Plot]:
+    """Draw the missing quantity and the claimed term: means over a signal, and the first log over time.
+
+    Estimates of neighbouring rows are correlated, so that each pass of the signal through an interval counts once.
+    """
+    (unit, factor), x = display(s.unit), displayed(s.against.values, s.against.unit)
+    title, bins = f"{s.quantity[0].upper()}{s.quantity[1:]}", _bins(x)
+    passes = np.array([1 + np.count_nonzero(np.diff(np.sort(rows)) > 1) for rows in bins])
+    places, mean = (np.array([v[rows].mean() for rows in bins]) for v in (x, factor * s.estimated))
+    variance = np.array([s.estimated[rows].var() + np.mean(s.sigma[rows] ** 2) for rows in bins])
+    around = factor * NORMAL_95 * np.sqrt(variance / passes)
+    estimated, width = factor * s.estimated, factor * 2.0 * s.sigma
+    means = [
+        Trace("data, with 95 %", mean - around, "warm", x=places, upper=mean + around),
+        Trace("mean", mean, "s1 dots", x=places),
+    ]
+    course, first = [Trace("data", estimated[: s.first], "estimate")], slice(s.first)
+    if s.term is not None:
+        term = factor * s.term
+        means.append(Trace(s.effect, np.array([term[rows].mean() for rows in bins]), "true", x=places))
+        course.append(Trace(s.effect, term[first], "true"))
+    over = s.against.name, TIMES.join(display(u)[0] or u for u in s.against.unit.split(TIMES)) or "1"
+    against = Panel(f"{title} against {s.against.name}", unit or "1", means)
+    band = Band("±2σ", (estimated - width)[first], (estimated + width)[first])
+    time = charts.over(s.time[first]).plots([Panel(f"{title} over time", unit or "1", course, band)])
+    return [charts.alone(against, extent([x]) or (0.0, 1.0), over), *time]

@@ -20,10 +20,9 @@ from scipy.special import ndtri
 
 from cosim.estimation.fit import CONVERGED, NOISE_DIFFERENCE, Fit
 from cosim.estimation.parallel import in_parallel
-from cosim.estimation.posing import coarsen, with_equations_trusted, with_finer_steps, with_likely_starts
+from cosim.estimation.posing import coarsen, erring_stamps, with_equations_trusted, with_finer_steps, with_likely_starts
 from cosim.estimation.problem import Problem
 from cosim.estimation.screen import Choice, Promise, ScoreTest, Terms
-from cosim.estimation.sensor_noise import erring_stamps
 from cosim.estimation.subject.candidates import Candidate, values_of_special_case
 from cosim.estimation.subject.interface import Subject
 from cosim.refinement.decision.bundle import evidence, held_out_errors, noise_gains, optima, unknown_input_gain

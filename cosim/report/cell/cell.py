@@ -1,10 +1,13 @@
-"""Interactive charts for the output of a notebook's cell, of limited size for runs of any length."""
+"""Charts for the output of a notebook's cell: interactive, of limited size for runs of any length, or by matplotlib."""
 
 from __future__ import annotations
 
+import io
 from collections.abc import Sequence
+from functools import partial
 from html import escape
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,6 +16,9 @@ from cosim.core.text import counted
 from cosim.report.charts import Charts, Plot
 from cosim.report.panels import Panel
 from cosim.report.template import render
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 PAGE = Path(__file__).with_name("templates") / "cell.html.j2"
 MAX_VALUES = 100_000  # in a cell: some 300 kB of the notebook
@@ -64,8 +70,23 @@ def cell_of(time: Array, panels: Sequence[Panel], title: str, *, rows: int, omit
 
 def frame_of(charts: Charts, plots: Sequence[Plot], title: str) -> str:
     """Return HTML with a frame of charts, which can neither read nor change the notebook: without allow-same-origin."""
-    page = render(PAGE, {"plots": plots, "data": charts.data(), "title": title})
+    page = render(PAGE, {"plots": plots, "title": title}, charts)
     height = min(MAX_HEIGHT, ROW_HEIGHT * -(-len(plots) // 2))
     style = f"width:100%;height:{height}px;border:0;resize:vertical"
     frame = f'<iframe title="{escape(title)}" sandbox="allow-scripts allow-downloads" style="{style}"'
     return f'{frame} srcdoc="{escape(page)}"></iframe>'
+
+
+def new_figure(width: float = 0.0, height: float = 0.0) -> Figure:
+    """Return an empty figure of this width and height [inch], by default those of matplotlib."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(width, height) if width else None, layout="constrained")
+    figure._repr_png_ = partial(_png, figure)  # type: ignore[attr-defined]  # for notebooks without %matplotlib
+    return figure
+
+
+def _png(figure: Figure) -> bytes:
+    picture = io.BytesIO()
+    figure.savefig(picture, format="png", dpi=110)
+    return picture.getvalue()

@@ -194,7 +194,7 @@ function markPath(curve, { x, low, upper }, u, v) {
   const parts = [];
   for (let n = 0; n < x.length; n++)
     if (!Number.isNaN(low[n]))
-      parts.push(MARKS[curve.form](u(x[n] + (curve.shift ?? 0)), v(low[n]), v(0), upper && v(upper[n])));
+      parts.push(MARKS[curve.form](u(x[n]), v(low[n]), v(0), upper && v(upper[n])));
   return parts.join("");
 }
 // The region between two lines over the same points.

@@ -79,8 +79,7 @@
 
   const play = one("#play"),
     scrub = one("#scrub"),
-    rowNote = one("#row"),
-    names = new Map(); // of files
+    rowNote = one("#row");
   let columns = [];
   const announcer = document.body.appendChild(
     make("p", { class: "unseen told", role: "status", "aria-live": "polite" }),
@@ -130,14 +129,6 @@
     }
     place(row) {
       return `${this.symbol} = ${this.text(row)}${this.suffix}`;
-    }
-    // begin where something can be read
-    start() {
-      const every = this.charts.flatMap((chart) => chart.curves.filter((c) => !c.x)),
-        isFull = (row) => every.every(({ values }) => !Number.isNaN(values[row]));
-      let row = this.nearest;
-      while (row > 0 && !isFull(row)) row--;
-      return isFull(row) ? row : this.nearest;
     }
     // isRead: name the row at the foot of the page, while a chart is read
     to(row, isRead = false) {
@@ -206,15 +197,15 @@
 
   class ReportChart extends Chart {
     constructor(host, figure, spec) {
-      const { title, unit, traces, band, levels = [], uprights = [], outside = [], reach, limit, also = [] } = spec;
+      const { title, unit, traces, band, levels, uprights = [], outside, reach, limit, also = [] } = spec;
       super(host, figure, { unit, levels, uprights, outside, reach, over: host.label });
       this.title = title;
       const curve = ({ y, x, upper, ...more }) => ({
         ...more,
         values: columns[y].v,
         text: columns[y].text,
-        x: x === undefined ? null : columns[x].v,
-        upper: upper === undefined ? null : columns[upper].v,
+        x: columns[x]?.v ?? null,
+        upper: columns[upper]?.v ?? null,
       });
       this.axes = [{ curves: traces.map(curve), range: null }];
       const isLone = host.v.length === 1;
@@ -224,7 +215,7 @@
       }
       this.also = also.map(([label, y]) => curve({ label, y }));
       if (band)
-        this.band = { edges: band.edges.map((y) => columns[y].v), x: band.x === undefined ? null : columns[band.x].v };
+        this.band = { edges: band.edges.map((y) => columns[y].v), x: columns[band.x]?.v ?? null };
       if (host.log && this.band?.x) this.band.x = this.band.x.map(Math.log10);
       this.build();
       this.box.setAttribute("data-box", "");
@@ -244,7 +235,7 @@
         swatch.append(make("path", { class: "limit", d: "M0 4h22" }));
         note(swatch, limit);
       }
-      const name = this.fileName();
+      const name = safeName(title) || "chart";
       for (const kind of ["PNG", "SVG", "CSV"]) {
         const about = { title: `save what this chart shows as ${kind}`, "aria-label": `${title} as ${kind}` };
         const csv = () => save(new Blob([this.table()], { type: "text/csv" }), `${name}.csv`);
@@ -262,14 +253,6 @@
       one(".summary", figure).remove();
       one("figcaption", figure).append(this.legend);
       figure.append(this.grid);
-    }
-    // A name of its own, with the unit where titles are alike.
-    fileName() {
-      const alike = page.charts.filter((other) => safeName(other.title) === safeName(this.title)).length > 1,
-        name = (safeName(this.title) || "chart") + (alike ? `_${safeName(this.unit)}` : ""),
-        count = (names.get(name) ?? 0) + 1;
-      names.set(name, count);
-      return count > 1 ? `${name}-${count}` : name;
     }
     // The points in sight, of which there are no more than the picture has columns.
     prepare() {
@@ -446,7 +429,7 @@
     const spec = page.charts[figure.dataset.chart];
     groups[spec.group].add(figure, spec).isStale = true;
   }
-  for (const group of groups) if (group.v.length && group.charts.length) group.to(group.start());
+  for (const group of groups) if (group.v.length && group.charts.length) group.to(group.nearest);
   if (play) {
     for (const element of all(".controls, .keys")) element.hidden = false;
     play.addEventListener("click", () => setPlaying(!playing));

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
+from pathlib import Path
 from typing import Any
 
 from cosim.blocks.coupling import DEFAULT
@@ -13,6 +14,7 @@ from cosim.core.arrays import Array
 from cosim.core.text import amount, displayed, plain
 from cosim.files.results import Results
 from cosim.report.panels import Trace
+from cosim.report.template import Row
 
 MIN_READINGS = 100  # about half a second, below which shares of the wall time say little
 
@@ -40,6 +42,25 @@ def number(value: Any, default: float = float("nan")) -> float:
         return float(value)
     except (TypeError, ValueError, OverflowError):
         return default
+
+
+@dataclass(frozen=True)
+class ComponentPage:
+    """Sections for some components, on a page with the signals of every run.
+
+    Attributes:
+        template: Extends run.html.j2.
+        values: Values of the template besides the values of every page.
+        tiles: Key figures.
+        shown: Columns in these sections, omitted from the signals.
+        data: Data of the script.
+    """
+
+    template: Path
+    values: Mapping[str, Any] = field(default_factory=dict)
+    tiles: Sequence[Row] = ()
+    shown: frozenset[str] = frozenset()
+    data: Mapping[str, Any] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

@@ -29,8 +29,9 @@ FACTS = {  # key of a component → its text in the diagram
 CHARACTER, BOLD, SMALL = 7.0, 9.2, 6.2  # [px] width of a character of 12.5, 13.5 and 11 px text
 HEAD, LINE, NOTE = 46, 22, 15  # [px] height of a box's head, of a port, of a note below a port
 SLOT, LANE, MARGIN = 13, 15, 24  # [px] between parallel wires, between lanes above and below, around the diagram
-MIN_WIDTH, RADIUS = 150, 6  # [px] of a box; of a corner
+MIN_WIDTH = 150  # [px] of a box
 STYLES = ("diagram.css", "diagram_alone.css")
+Port = tuple[str, str, Sequence[str]]
 
 
 @dataclass(frozen=True)
@@ -42,26 +43,6 @@ class DiagramLink:
     units: tuple[str, str]
     acting: tuple[str, ...]
     held: bool
-
-
-@dataclass(frozen=True)
-class _Port:
-    """An input or output in the SVG: its name, its unit, and notes on noise and faults below it."""
-
-    name: str
-    unit: str
-    notes: tuple[str, ...]
-
-    @property
-    def height(self) -> int:
-        """Return the height [px]."""
-        return LINE + NOTE * len(self.notes)
-
-    @property
-    def width(self) -> float:
-        """Return the width [px]."""
-        characters = len(self.name) + (len(self.unit) + 3 if self.unit else 0)
-        return max([CHARACTER * characters, *(SMALL * len(text) for text in self.notes)])
 
 
 @dataclass(frozen=True)
@@ -84,13 +65,14 @@ class Graph:
         if not self.about:
             return ""
         place = {name: k for k, name in enumerate(self.about)}
-        ports: dict[str, tuple[dict[str, _Port], dict[str, _Port]]] = {name: ({}, {}) for name in place}
+        # of each box, inputs and outputs: variable → name, unit, notes on noise and faults below
+        ports: dict[str, tuple[dict[str, Port], dict[str, Port]]] = {name: ({}, {}) for name in place}
         wires = []  # numbers of the boxes at both ends
         for link in self.links:
             for side, (end, unit) in enumerate(zip((link.target, link.source), link.units[::-1], strict=True)):
                 owner, _, variable = end.partition(".")
-                port = _Port(_cut(variable), written(unit), link.acting if side == 0 else ())
-                ports[owner][side].setdefault(variable, port)
+                notes = link.acting if side == 0 else ()
+                ports[owner][side].setdefault(variable, (_cut(variable), written(unit), notes))
             wires.append((place[link.source.partition(".")[0]], place[link.target.partition(".")[0]]))
         gaps = [_order(gap, wires) for gap in range(len(place) + 1)]
         # Wires past a box run in lanes above, wires back in lanes below.
@@ -98,46 +80,41 @@ class Graph:
         below = {k: lane for lane, k in enumerate(reversed([k for k, (a, b) in enumerate(wires) if b <= a]))}
         top, x = MARGIN + LANE * len(above), float(MARGIN + SLOT * (1 + len(gaps[0])))
         parts, bottom = list[str](), 0.0
-        places: tuple[dict[str, tuple[float, float]], ...] = {}, {}  # of inputs and outputs, where wires end
+        places: tuple[dict[str, tuple[float, float]], dict[str, tuple[float, float]]] = {}, {}  # of inputs, of outputs
         for number, (name, about) in enumerate(self.about.items(), 1):
-            title, sides = f"{number} {name}", ports[name]
-            widths = sum(max((port.width for port in side.values()), default=0.0) for side in sides)
+            title, sides = f"{number} {_cut(name)}", ports[name]
+            widths = sum(max([0.0, *(_width(*port) for port in side.values())]) for side in sides)
             width = max(MIN_WIDTH, widths + 40, BOLD * len(title) + 24, SMALL * len(about) + 24)
-            box = HEAD + 12 + max(sum(port.height for port in side.values()) for side in sides)
+            box = HEAD + 12 + max(sum(LINE + NOTE * len(notes) for *_, notes in side.values()) for side in sides)
             bottom = max(bottom, top + box + 12)
             parts += [
-                f'<rect class="box" x="{x:.1f}" y="{top:.1f}" width="{width:.1f}" height="{box:.1f}" rx="{RADIUS}"/>',
+                f'<rect class="box" x="{x:.1f}" y="{top:.1f}" width="{width:.1f}" height="{box:.1f}" rx="6"/>',
                 f'<path class="head" d="M{x:.1f} {top + HEAD:.1f}h{width:.1f}"/>',
-                f'<text class="name" x="{x + 12:.1f}" y="{top + 20:.1f}">{escape(title)}</text>',
-                f'<text class="about" x="{x + 12:.1f}" y="{top + 37:.1f}">{escape(about)}</text>',
+                _text("name", x + 12, top + 20, title),
+                _text("about", x + 12, top + 37, about),
             ]
             for side, (edge, at, where) in enumerate(((x, x + 12, ""), (x + width, x + width - 12, " right"))):
                 down = top + HEAD + 21
-                for variable, port in sides[side].items():
+                for variable, (shown, unit, notes) in sides[side].items():
                     places[side][f"{name}.{variable}"] = edge, down - 4
-                    unit = f' <tspan class="unit">[{escape(port.unit)}]</tspan>' if port.unit else ""
-                    text = f"{escape(port.name)}{unit}"
-                    parts.append(f'<text class="port{where}" x="{at:.1f}" y="{down:.1f}">{text}</text>')
-                    for k, note in enumerate(port.notes, 1):
-                        look, note_y = f"note-{'bad' if note.startswith('fault') else 'warn'}{where}", down + NOTE * k
-                        parts.append(f'<text class="{look}" x="{at:.1f}" y="{note_y:.1f}">{escape(note)}</text>')
-                    down += port.height
+                    parts.append(_text(f"port{where}", at, down, shown, f"[{unit}]" if unit else ""))
+                    for k, note in enumerate(notes, 1):
+                        look = f"note-{'bad' if note.startswith('fault') else 'warn'}{where}"
+                        parts.append(_text(look, at, down + NOTE * k, note))
+                    down += LINE + NOTE * len(notes)
             x += width + SLOT * (3 + len(gaps[number]))
         for number, (link, (before, after)) in enumerate(zip(self.links, wires, strict=True)):
             (x2, y2), (x1, y1) = places[0][link.target], places[1][link.source]
-            out = x1 + SLOT * (1.5 + gaps[before + 1].index((number, "out")))
-            if after == before + 1:
-                points = [(x1, y1), (out, y1), (out, y2), (x2, y2)]
-            else:
+            path = f"M{x1:.1f} {y1:.1f}H{x1 + SLOT * (1.5 + gaps[before + 1].index((number, 'out'))):.1f}"
+            if after != before + 1:
                 lane = top - 10 - LANE * above[number] if number in above else bottom + LANE * below[number]
                 into = x2 - SLOT * (len(gaps[after]) - gaps[after].index((number, "in")) + 0.5)
-                points = [(x1, y1), (out, y1), (out, lane), (into, lane), (into, y2), (x2, y2)]
+                path += f"V{lane:.1f}H{into:.1f}"
             start_value = "the value of the step's start" if link.held else ""
             title = "; ".join(filter(None, [f"{link.source} → {link.target}", *link.acting, start_value]))
-            style = "wire held" if link.held else "wire"
+            wire = f'<path class="wire{" held" * link.held}" d="{path}V{y2:.1f}H{x2:.1f}"/>'
             tip = f'<path class="tip" d="M{x2:.1f} {y2:.1f}l-8 -4v8z"/>'
-            path = f'<path class="{style}" d="{_rounded_path(points)}"/>{tip}'
-            parts.append(f"<g><title>{escape(title)}</title>{path}</g>")
+            parts.append(f"<g><title>{escape(title)}</title>{wire}{tip}</g>")
         held, key = [link.held for link in self.links], ""
         if not self.algorithm.sequential:
             if held:
@@ -147,7 +124,7 @@ class Graph:
             if any(held):
                 key += " A dashed line passes on the value of the step's start, all others that of its end."
         key_top = bottom + LANE * len(below) + 22
-        parts += [f'<text class="key" x="{MARGIN}" y="{key_top:.0f}">{escape(key)}</text>'] if key else []
+        parts += [_text("key", MARGIN, key_top, key)] if key else []
         width = max(x - SLOT + MARGIN / 2, MARGIN * 2 + SMALL * len(key) if key else 0.0)
         height = key_top + (15 if key else 0)
         summary = f"{counted(len(place), 'component')} of {self.name} in the order in which they step"
@@ -219,6 +196,17 @@ def graph_from(scenario: Mapping[str, Any], order: Sequence[str], held: set[str]
     return Graph(str(scenario.get("name") or ""), about, links, algorithm)
 
 
+def _width(name: str, unit: str, notes: Sequence[str]) -> float:
+    """Return the width of a port [px]."""
+    characters = len(name) + (len(unit) + 3 if unit else 0)
+    return max([CHARACTER * characters, *(SMALL * len(text) for text in notes)])
+
+
+def _text(look: str, x: float, y: float, text: str, unit: str = "") -> str:
+    shown = escape(text) + (f' <tspan class="unit">{escape(unit)}</tspan>' if unit else "")
+    return f'<text class="{look}" x="{x:.1f}" y="{y:.1f}">{shown}</text>'
+
+
 def _cut(text: str) -> str:
     return text if len(text) <= MAX_NAME else f"{text[: MAX_NAME - 1]}…"
 
@@ -238,18 +226,3 @@ def _order(gap: int, wires: Sequence[tuple[int, int]]) -> list[tuple[int, str]]:
     left = out["on"] + out["near"] + out["back"][::-1]
     right = into["from the right"] + into["from the left"][::-1]
     return [*((number, "out") for number in left), *((number, "in") for number in right)]
-
-
-def _rounded_path(points: Sequence[tuple[float, float]]) -> str:
-    """Return a path along right-angled points with rounded corners."""
-    path = [f"M{points[0][0]:.1f} {points[0][1]:.1f}"]
-    for (ax, ay), (bx, by), (cx, cy) in zip(points, points[1:], points[2:], strict=False):
-        before, after = abs(bx - ax) + abs(by - ay), abs(cx - bx) + abs(cy - by)
-        r = min(RADIUS, before / 2, after / 2)
-        if r < 0.5:
-            path.append(f"L{bx:.1f} {by:.1f}")
-            continue
-        from_x, from_y = bx - r * (bx - ax) / before, by - r * (by - ay) / before
-        to_x, to_y = bx + r * (cx - bx) / after, by + r * (cy - by) / after
-        path.append(f"L{from_x:.1f} {from_y:.1f}Q{bx:.1f} {by:.1f} {to_x:.1f} {to_y:.1f}")
-    return "".join([*path, f"L{points[-1][0]:.1f} {points[-1][1]:.1f}"])
