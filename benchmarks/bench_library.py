@@ -28,8 +28,7 @@ from cosim.model import Equations, Model, Namespace, Quantity, Values, parameter
 from cosim.model.model import Number
 from cosim.model.quantities import Parameter
 from cosim.probing.places import probe_structure
-from cosim.terms.code import TermCode
-from cosim.terms.fmu_model import FmuModel, fmu_model
+from cosim.terms.code import FmuModel, TermCode, fmu_model
 
 STEP, ROWS, CALLS = 0.01, 2000, 20_000
 EQUAL = 1e-3  # largest difference of the innovations of both kernels, relative to the noise

@@ -13,7 +13,7 @@ from cosim.estimation.posing import build_problem
 from cosim.estimation.subject.model_subject import ModelSubject
 from cosim.logs.log import Log
 from cosim.model import Effect, Equations, Model, Namespace, Number, Quantity, Values, parameter
-from cosim.refinement.decision.equivalence import act_alike
+from cosim.refinement.decision.bundle import act_alike
 from cosim.refinement.search.fits import Hypothesis, Search
 
 

@@ -162,27 +162,22 @@ def test_a_question_that_cannot_be_asked_is_told_with_its_cure(
 FAN = """
 from dataclasses import dataclass
 
-from cosim.model import Effect, Equations, Model, Quantity, parameter
+from cosim.model import Equations, Model, Offset, Quantity, parameter, size
 
-
-@dataclass(frozen=True, kw_only=True)
-class Draught(Effect):
-    name = "draught"
-    equation = "speed + d"
-    speed: float = parameter(0.0, unit="m/s", bounds=(-5, 5), neutral=0.0, typical=0.5, doc="d")
+Draught = Offset.named("draught", place="air", value=size("m/s", (-5, 5), 0.5, "d"))
 
 
 @dataclass(frozen=True, kw_only=True)
 class Fan(Model):
     base_states = outputs = (Quantity("wind", "m/s", "of the air"),)
     inputs = (Quantity("fan", "%", "speed of the fan", 20.0BOUNDS),)
-    catalogue, forced, calibrated = (Draught,), ("wind",), ("gain",)
+    catalogue, places, forced, calibrated = (Draught,), ("air",), ("wind",), ("gain",)
     sensor_variance = {"wind": 1e-4}
     gain: float = parameter(0.1, unit="m/s", bounds=(0, 1), doc="k for each percent")
 
     def equations(self, m):
-        draught = sum(e.speed for e in self.awake)
-        return Equations(lambda t, x, u: (self.gain * u[0] - x[0] + draught,), lambda t, x, u: x)
+        at = self.effects_at(m)
+        return Equations(lambda t, x, u: (at("air", self.gain * u[0] - x[0]),), lambda t, x, u: x)
 """
 
 

@@ -16,8 +16,8 @@ import pytest
 
 from cosim.estimation.posing import build_problem
 from cosim.fmi.building.file import read_model
-from cosim.refinement.decision.trust import attribute
 from cosim.refinement.refinement import Refinement
+from cosim.refinement.search.attribution import attribute
 from cosim.refinement.search.fits import Hypothesis
 from cosim.refinement.study import read_study
 from cosim.residuals.workflow import replay

@@ -25,14 +25,10 @@ pytestmark = pytest.mark.optimized
 MOTOR = """
 from dataclasses import dataclass
 
-from cosim.model import Effect, Equations, Model, Quantity, parameter
+from cosim.model import Equations, LocalEffect, Model, Quantity, parameter, size
 
-
-@dataclass(frozen=True, kw_only=True)
-class Fan(Effect):
-    name = "fan"
-    equation = "torque −c·ω²"
-    factor: float = parameter(0.0, unit="N.m.s2", bounds=(0, 1e-3), neutral=0.0, typical=2e-6, doc="c")
+Fan = LocalEffect.named("fan", place="shaft", equation="torque −c·ω²", factor=size("N.m.s2", (0, 1e-3), 2e-6, "c"),
+    change=lambda e, m, torque, speed: torque - e.factor * speed * speed)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,16 +36,16 @@ class Motor(Model):
     base_states = (Quantity("speed", "rad/s", "of the shaft"),)
     inputs = (Quantity("voltage", "V", "of the armature"),)
     outputs = (Quantity("tacho", "V", "of the tachometer"),)
-    catalogue, sensor_variance, forced, calibrated = (Fan,), {"tacho": 1e-4}, ("speed",), ("inertia",)
+    catalogue, places = (Fan,), ("shaft",)
+    sensor_variance, forced, calibrated = {"tacho": 1e-4}, ("speed",), ("inertia",)
     inertia: float = parameter(1e-3, unit="kg.m2", bounds=(1e-5, 1), doc="J")
     k: float = parameter(0.05, unit="V.s", bounds=(1e-3, 1), doc="constant of the motor")
 
     def equations(self, m):
-        factor = sum(fan.factor for fan in self.awake)
+        at = self.effects_at(m)
 
         def derivative(t, state, command):
-            torque = self.k * (command[0] - self.k * state[0]) - factor * state[0] * state[0]
-            return (torque / self.inertia,)
+            return (at("shaft", self.k * (command[0] - self.k * state[0]), state[0]) / self.inertia,)
 
         return Equations(derivative, lambda t, state, command: (0.02 * state[0],))
 """  # J·ω̇ = k·(u − k·ω)/R of 1 Ω; a tachometer reads 0.02·ω

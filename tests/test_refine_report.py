@@ -27,35 +27,26 @@ from tests.studies import proven
 DRY, SMOOTH, MASS = 0.4, 0.02, 2.0  # [N], [m/s], [kg] of the cart
 CART = """
 from dataclasses import dataclass
-from cosim.model import Effect, Equations, Model, Quantity, parameter
+from cosim.model import Equations, LocalEffect, Model, Quantity, parameter, size
 
-@dataclass(frozen=True, kw_only=True)
-class Dry(Effect):
-    name, equation = "dry", "force -F tanh(v/0.02)"
-    force: float = parameter(0.0, unit="N", bounds=(0, 5), neutral=0.0, typical=0.2, doc="F")
-    def pull(self, m, v):
-        return -self.force * m.tanh(v / 0.02)
-
-@dataclass(frozen=True, kw_only=True)
-class Push(Effect):
-    name, equation = "push", "force f"
-    force: float = parameter(0.0, unit="N", bounds=(-5, 5), neutral=0.0, typical=0.2, doc="f")
-    def pull(self, m, v):
-        return self.force
+Dry = LocalEffect.named("dry", place="cart", equation="force -F tanh(v/0.02)", force=size("N", (0, 5), 0.2, "F"),
+    change=lambda e, m, pull, v: pull - e.force * m.tanh(v / 0.02))
+Push = LocalEffect.named("push", place="cart", equation="force f", force=size("N", (-5, 5), 0.2, "f"),
+    change=lambda e, m, pull, v: pull + e.force)
 
 @dataclass(frozen=True, kw_only=True)
 class Cart(Model):
     title = "Cart <of mine>"
     base_states = (Quantity("s", "m", "place"), Quantity("v", "m/s", "speed"))
     inputs, outputs = (Quantity("force", "N", "force"),), base_states[:1]
-    catalogue, sensor_variance = (Dry, Push), {"s": 1e-6}
+    catalogue, places, sensor_variance = (Dry, Push), ("cart",), {"s": 1e-6}
     forced, calibrated = ("v",), ("mass",)
     mass: float = parameter(2.0, unit="kg", bounds=(0.1, 10), doc="mass")
     drag: float = parameter(0.5, unit="N.s/m", bounds=(0, 10), doc="viscous friction")
     def equations(self, m):
+        at = self.effects_at(m)
         def derivative(t, state, command):
-            pulls = sum(e.pull(m, state[1]) for e in self.awake)
-            return state[1], (command[0] - self.drag * state[1] + pulls) / self.mass
+            return state[1], at("cart", command[0] - self.drag * state[1], state[1]) / self.mass
         return Equations(derivative, lambda t, state, command: state[:1])
 """
 
@@ -146,7 +137,7 @@ def test_every_verdict_has_its_word_its_tone_and_a_command_that_goes_on(
         claims = replace(claims, claimed=None, nearest=claims.best)
     rivalry = {"rivals": list(rivals), "experiment": "push harder" if rivals else ""}
     verdict = replace(claims, decision=decision, experiment="push harder" if rivals else "")
-    said = sentence(verdict, cart.study.subject, {}, {"s": 0.5}, "", is_written=True)
+    said = sentence(verdict, cart.study.subject, {}, {"s": 0.5}, is_written=True)
     answer, more = said.split(". ", 1)
     assert len(answer.split()) <= 25
     record = {**cart.record, **rivalry, "verdict": name, "sentence": said, "untested": ["leaks"]}

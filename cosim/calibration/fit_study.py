@@ -24,7 +24,7 @@ from cosim.files.yaml_file import YamlFile, short
 from cosim.fmi.description import read_description, unit_of
 from cosim.isolation.limits import Limits, read_limits
 from cosim.logs.log import NORMAL_95, Log, read_column_names
-from cosim.probing.log_runs import limits_of
+from cosim.probing.prober import limits_of
 from cosim.refinement.study import FileName, LogLists
 from cosim.residuals.drive import log_of_fmu, start_values
 from cosim.scenario.start_values import convert_value, settable

@@ -35,7 +35,7 @@ from cosim.fmi.native.compiler import CompilerFailed, NoCompiler
 from cosim.fmi.wrapping.wrap import CannotWrap, parsed, set_starts, wrap, xml_of
 from cosim.isolation.process import Worker
 from cosim.logs.gate import gate, gate_faults
-from cosim.probing.own_step import probe_own_step
+from cosim.probing.places import probe_own_step
 from cosim.probing.prober import LIMITS
 from cosim.residuals.drive import MODULES, Drive, DriveApart, drive_in
 from cosim.ssp.write import write_parameter_set
@@ -219,7 +219,7 @@ def _refuse_own_step(request: Request, given: FitInput) -> None:
         own = probe_own_step(request.fmu, [log], numbers, limits=request.limits if request.limits.step else LIMITS)
     except (FmuError, SimulationError):
         return  # the first simulation will report it
-    if own and own.distorts:
+    if own:
         message = (
             f"its co-simulation has an internal step of about {own.length:.3g} s, above the step of "
             f"{log.step:.3g} s of the "

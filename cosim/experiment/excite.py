@@ -23,9 +23,8 @@ from cosim.core.settings import Count, ModelName, Names, PositiveSeconds, Seed
 from cosim.core.text import counted, join_names, showing
 from cosim.estimation.posing import build_problem, coarsen
 from cosim.estimation.subject.fmu_subject import FmuSubject
-from cosim.experiment.question import Question, ask, refinement_folder
+from cosim.experiment.question import MIN_SEPARATION, Pair, Question, ask, refinement_folder, separation
 from cosim.experiment.rigs import FmuOpenLoop, OpenLoop, RigAxis, Trial
-from cosim.experiment.separation import MIN_SEPARATION, Pair, separation
 from cosim.files.csv_source import write_columns
 from cosim.files.files import FilePath, check_writable, write_text
 from cosim.files.folders import new_run, remove_earlier
@@ -43,7 +42,7 @@ MOVE_PROBABILITY = 0.75  # probability that an axis moves in a part
 AMPLITUDE_SHARE = (0.3, 1.0)  # share of an axis' amplitude
 KINDS = ("multisine", "chirp", "steps", "ramps")
 REPORT = "report.html"
-MAX_LISTED_PAIRS = 5  # pairs listed before only the rest is counted
+MAX_LISTED_PAIRS = 5  # pairs listed in the terminal
 Progress = Callable[[str, float], None]
 
 
@@ -55,7 +54,6 @@ class Excitation:
         trial, rivals: Simulations of the model and of each rival with the same input signals.
         apart: Distance of each pair of rivals [standard deviations].
         usual: Distance of each pair under the rig's usual input, for comparison [standard deviations].
-        usual_trial: Simulation of the model with the usual input.
     """
 
     question: Question
@@ -64,7 +62,6 @@ class Excitation:
     rivals: Mapping[str, Trial]
     apart: Mapping[Pair, float]
     usual: Mapping[Pair, float]
-    usual_trial: Trial
 
     @property
     def excess(self) -> float:
@@ -96,27 +93,16 @@ class Excitation:
 
     @property
     def sentences(self) -> list[str]:
-        """Return sentences on the distances of the pairs, hardest first, and on excursions of model and rivals."""
-        lines = self.distances
-        if len(lines) > MAX_LISTED_PAIRS + 1:
-            least = self.apart[self.hardest_first[MAX_LISTED_PAIRS]]
-            rest = counted(len(lines) - MAX_LISTED_PAIRS, "more pair")
-            lines[MAX_LISTED_PAIRS:] = [f"and {rest}, at least {least:.1f} standard deviations apart"]
-        limits = self.question.limits
-        trials = {"excursion": self.trial}
-        trials |= {f"beyond its limits if {n} is true": t for n, t in self.rivals.items() if t.excess(limits) > 1.0}
+        """Return sentences on the hardest pairs, of which excitation.yaml lists all, and on the excursions."""
         units = {q.name: q.unit for q in self.question.loaded.model.outputs}
-        names = [n for n in units if n in limits] or self.question.measured
-        for words, trial in trials.items():
-            ranges = ", ".join(
-                f"{n} {trial.outputs[n].min():.3g} to {trial.outputs[n].max():.3g} {units[n]}" for n in names
-            )
-            lines.append(f"{words}: {ranges}")
-        return lines
+        names = [n for n in units if n in self.question.limits] or self.question.measured
+        outputs = self.trial.outputs
+        ranges = ", ".join(f"{n} {outputs[n].min():.3g} to {outputs[n].max():.3g} {units[n]}" for n in names)
+        return [*self.distances[:MAX_LISTED_PAIRS], f"excursion: {ranges}"]
 
     @property
     def warnings(self) -> list[str]:
-        """Return warnings about inseparable pairs, and about a usual input that is better but exceeds the limits."""
+        """Return warnings about inseparable pairs, and about excursions beyond the limits."""
         warnings = []
         if self.excess > 1.0:
             far = "diverge" if math.isinf(self.excess) else f"reach {self.excess:.2g} times the value of --limit"
@@ -130,12 +116,6 @@ class Excitation:
             warnings.append(
                 f"the best input does not separate {join_names(pairs)} (less than {MIN_SEPARATION:g} standard "
                 "deviations apart); try a wider --limit, a longer --duration or more outputs --measured"
-            )
-        excess, (count, least) = self.usual_trial.excess(self.question.limits), merit_of(self.usual)
-        if 1.0 < excess < np.inf and (count, least) > merit_of(self.apart):
-            warnings.append(
-                f"{self.rig.usual} separates better ({count} of {counted(len(self.apart), 'pair')}, the closest "
-                f"{least:.1f} standard deviations apart) but reaches {excess:.1f} times the value of --limit"
             )
         return warnings
 
@@ -196,6 +176,8 @@ def excite(
     Raises:
         InputError: Every fault of the input, or no experiment separates any pair.
     """
+    from cosim.fmi.fmu_build import build
+
     show_stage = progress or (lambda stage, share: None)
     show_stage("reading the model", 0.0)
     with new_run(folder, "", "cosim excite", force=force) as place:
@@ -211,18 +193,22 @@ def excite(
         files = ("excitation.csv", "excitation.yaml", "plant.fmu", REPORT, *rig.files)
         check_writable(place, files, [source / "plant.fmu"] if (source := refinement_folder(text)) else [])
         excitation = _choose(question, rig, time, seed, experiments, show_stage)
+        none = f"none of {experiments} experiments"
         if excitation is None:
-            reason = f"none of {experiments} experiments stays within the limits; widen --limit or shorten --duration"
-            raise InputError.at(Path(text), reason)
+            raise InputError.at(Path(text), f"{none} stays within the limits; widen --limit or shorten --duration")
         if max(excitation.apart.values()) < MIN_DISTANCE:
-            raise InputError.at(
-                Path(text),
-                f"none of {experiments} experiments separates any two rivals by one standard deviation; try a wider "
-                "--limit, a longer --duration or more outputs --measured",
-            )
+            reason = "separates any two rivals by one standard deviation; try a wider --limit, a longer --duration or "
+            raise InputError.at(Path(text), f"{none} {reason}more outputs --measured")
         show_stage("building the FMUs", 0.0)
         remove_earlier(place, read=[source] if source else [])
-        _write(place, excitation, seed)
+        units = {q.name: q.unit for q in model.inputs}
+        write_columns(place / "excitation.csv", excitation.trial.time, excitation.trial.inputs, units)
+        if isinstance(question.subject, FmuSubject):
+            copyfile(question.subject.structure.fmu, place / "plant.fmu")
+        else:
+            build(question.loaded.recipe(), place / "plant.fmu")
+        rig.write(place, excitation.trial)
+        write_text(place / "excitation.yaml", "\n".join(_scenario(excitation, seed)) + "\n")
         if report:
             from cosim.experiment.report import page
 
@@ -278,7 +264,7 @@ def _choose(
             apart = apart_in(trial.log(model, question.measured))
         if best is None or merit_of(apart) > best.score:
             rivals = play_rivals(trial) if len(question.rivals) <= MAX_RIVALS else {}
-            other = Excitation(question, rig, trial, rivals, apart, usual, usual_trial)
+            other = Excitation(question, rig, trial, rivals, apart, usual)
             best = other if best is None or other.score > best.score else best
     if best is None:
         return None
@@ -331,20 +317,6 @@ def draw_signals(rng: np.random.Generator, axes: Sequence[RigAxis], time: Array)
 
 
 # -- files --------------------------------------------------------------------------------------
-
-
-def _write(folder: Path, excitation: Excitation, seed: int) -> None:
-    """Write excitation.csv, excitation.yaml and the FMUs."""
-    from cosim.fmi.fmu_build import build
-
-    trial, loaded = excitation.trial, excitation.question.loaded
-    write_columns(folder / "excitation.csv", trial.time, trial.inputs, {q.name: q.unit for q in loaded.model.inputs})
-    if isinstance(subject := excitation.question.subject, FmuSubject):
-        copyfile(subject.structure.fmu, folder / "plant.fmu")
-    else:
-        build(loaded.recipe(), folder / "plant.fmu")
-    excitation.rig.write(folder, trial)
-    write_text(folder / "excitation.yaml", "\n".join(_scenario(excitation, seed)) + "\n")
 
 
 def _scenario(excitation: Excitation, seed: int) -> Iterator[str]:

@@ -11,7 +11,7 @@ import numpy as np
 
 from cosim.core.text import counted, displayed, join_names, plain
 from cosim.experiment.excite import MAX_RIVALS, Excitation
-from cosim.experiment.separation import MIN_SEPARATION
+from cosim.experiment.question import MIN_SEPARATION
 from cosim.report.charts import Charts
 from cosim.report.panels import held_panels, signal_panel
 from cosim.report.template import command, render

@@ -24,7 +24,6 @@ from cosim.estimation.subject.model_subject import neutral_values
 from cosim.logs.log import Log
 from cosim.model.integrate import Stepper
 from cosim.model.model import Model, Values
-from cosim.terms.fmu_model import FmuModel
 
 Signals = Mapping[str, Array]
 Ranges = Mapping[str, tuple[float, float]]  # input → smallest and largest value
@@ -110,8 +109,8 @@ class OpenLoop:
         """Write the files listed in `files`."""
 
     def components(self) -> Iterator[str]:
-        """Yield the scenario lines of further components, besides `plant` and `excitation`."""
-        yield from ()
+        """Return the scenario lines of further components, besides `plant` and `excitation`."""
+        return iter(())
 
     def connections(self, model: Model, trial: Trial, variance: Mapping[str, float]) -> Iterator[str]:
         """Yield the scenario lines of the connections.
@@ -119,7 +118,9 @@ class OpenLoop:
         Args:
             variance: Noise variance of each output.
         """
-        yield from (f"  - {{from: excitation.{q.name}, to: plant.{q.name}}}" for q in model.inputs)
+        variables = getattr(model, "variables", {})  # of an FMU
+        for q in model.inputs:
+            yield f'  - {{from: excitation.{q.name}, to: "plant.{variables.get(q.name, q.name)}"}}'
 
 
 class FmuOpenLoop(OpenLoop):
@@ -155,11 +156,6 @@ class FmuOpenLoop(OpenLoop):
         x0 = start_state(self.subject, data, layout.outputs, layout.states)
         table = self.kernel.simulate(data, p, x0, np.zeros(layout.memory)).outputs
         return Trial(time, signals, inputs, {}, dict(zip(names, table.T, strict=True)))
-
-    def connections(self, model: Model, trial: Trial, variance: Mapping[str, float]) -> Iterator[str]:
-        """Yield the connection of every input."""
-        assert isinstance(model, FmuModel)
-        yield from (f'  - {{from: excitation.{q.name}, to: "plant.{model.variables[q.name]}"}}' for q in model.inputs)
 
 
 def clip(values: Array, name: str, ranges: Ranges) -> Array:
@@ -222,14 +218,11 @@ def limits_and_ranges(
         unit, (low, high) = units[name], spans[name]
         convert = conversion(match["unit"].strip(), unit) if match else None
         lower, upper = (convert(float(match[end])) if match and convert else math.nan for end in ("low", "high"))
-        if not lower < upper:
-            message = f"give the range of {name} [{unit}], lower end first, such as {name}=0..10"
-            faults.append(f"--range {text}: {message}")
-        elif not max(lower, low) < min(upper, high):
-            message = f"the model declares {low:g}..{high:g} {unit} for {name}; choose an overlapping range"
-            faults.append(f"--range {text}: {message}")
-        else:
+        if lower < upper and max(lower, low) < min(upper, high):
             spans[name] = max(lower, low), min(upper, high)
+        else:
+            cure = f"give the range of {name} [{unit}], lower end first, such as {name}=0..10"
+            faults.append(f"--range {text}: {cure}; the model declares {low:g}..{high:g} {unit} for {name}")
     reaches, starts = dict(model.excursion), dict(zip(spans, model.start_command(), strict=True))
     for text in limits:
         name, _, value = (part.strip() for part in text.partition("="))
@@ -241,10 +234,9 @@ def limits_and_ranges(
             size = read_quantity(value, units[name], difference=True)
         if size > 0:
             reaches[name] = size
-        else:
-            faults.append(
-                f"--limit {text}: give the largest deviation of {name}, above 0 [{units[name]}], such as {name}=0.1"
-            )
+            continue
+        cure = f"give the largest deviation of {name}, above 0 [{units[name]}], such as {name}=0.1"
+        faults.append(f"--limit {text}: {cure}")
     for q in model.inputs:
         if q.name in reaches:
             continue

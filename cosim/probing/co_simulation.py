@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import permutations, product
@@ -12,13 +11,24 @@ import numpy as np
 from cosim.core.arrays import Array, Flags
 from cosim.core.errors import SimulationError
 from cosim.fmi.description import takes_any_step
-from cosim.probing.fmu_structure import Pair, Port, ProbedParameter, Structure
-from cosim.probing.log_runs import SAME, Course, Fmu, moved, noise_of, outputs_along
-from cosim.probing.prober import Prober, quantities, separate_pairs, settable_parameters, start_values, tried_parameters
+from cosim.probing.fmu_structure import Pair, Port, Structure
+from cosim.probing.prober import (
+    SAME,
+    Course,
+    Fmu,
+    Prober,
+    moved,
+    noise_of,
+    outputs_along,
+    quantities,
+    separate_pairs,
+    settable_parameters,
+    start_values,
+    tried_parameters,
+)
 
 ROWS = 300  # rows of a simulation for step responses
-FEW_ROWS, FEWEST_ROWS = 60, 5  # rows of a first simulation for a parameter
-SECONDS, TRIALS = 20.0, 2.0  # time for all parameters [s], and usual simulations for each
+PARAMETER_ROWS, FEWEST_ROWS = 15000, 5  # rows over the simulations of all parameters, and least of each
 SPAN, MOST_JITTER = 32, 0.1  # rows per increment if single increments jitter, and largest error of single increments
 PAIR_ERROR = 1e-2  # error of an integrated velocity relative to the position's increments
 UNITY = 1e-3  # minimum difference of a gain from 1 that is not integration error
@@ -56,6 +66,16 @@ def co_simulation_structure(prober: Prober, courses: Sequence[Course]) -> Struct
     feeds = {outputs[k]: port for k, acting in found.items() for port in acting[::-1] if port.is_alone}
     columns = {name: [course.inputs[name] for course, _ in good if name in course.inputs] for name in inputs}
     spreads = {name: float(np.std(np.concatenate(c))) if c else 0.0 for name, c in columns.items()}
+    count = max(1, len(settable_parameters(prober.description)))
+    tried = short.first(max(FEWEST_ROWS, PARAMETER_ROWS // count))
+
+    def react(fmu: Fmu) -> tuple[Array, Array]:
+        """Return initial and later outputs."""
+        table, stop = prober.call(outputs_along, fmu, tried)
+        if not len(table):
+            raise stop
+        return table[0], table[1:]
+
     return Structure(
         fmu=prober.path,
         way="co-simulation",
@@ -68,29 +88,10 @@ def co_simulation_structure(prober: Prober, courses: Sequence[Course]) -> Struct
         feeds=feeds,
         scales={**spreads, **dict(zip(outputs, map(float, values.std(axis=0)), strict=True))},
         step=min(course.step for course in courses),
-        parameters=_parameters(prober, short, size),
+        parameters=tried_parameters(prober, react, size),
         starts=start_values(prober, short, base[: short.time.size], responses.noise),
         stops=tuple(str(stop) for _, stop in runs if stop),
     )
-
-
-def _parameters(prober: Prober, course: Course, size: Array) -> tuple[ProbedParameter, ...]:
-    """Return each settable parameter with its effects; the number of rows is limited by the available time."""
-    few = course.first(FEW_ROWS)
-    begin = time.monotonic()
-    prober.call(outputs_along, prober.fmu, few)
-    per_row = (time.monotonic() - begin) / few.time.size
-    count = max(1, len(settable_parameters(prober.description)))
-    tried = course.first(int(max(FEWEST_ROWS, SECONDS / (TRIALS * count * per_row))))
-
-    def react(fmu: Fmu) -> tuple[Array, Array]:
-        """Return initial and later outputs."""
-        table, stop = prober.call(outputs_along, fmu, tried)
-        if not len(table):
-            raise stop
-        return table[0], table[1:]
-
-    return tried_parameters(prober, react, size)
 
 
 def _fits(good: Sequence[tuple[Course, Array]]) -> list[tuple[int, int, float]]:

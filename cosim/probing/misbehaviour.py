@@ -15,9 +15,8 @@ import psutil
 from cosim.core.arrays import Array
 from cosim.core.errors import FmuError, SimulationError
 from cosim.fmi.description import Way, library_of, ways
-from cosim.probing.log_runs import CHANCE, SAME, Course, Fmu, outputs_along, put_row, run_along, sine_course
-from cosim.probing.own_step import excited_course
-from cosim.probing.prober import Prober
+from cosim.probing.places import excited_course
+from cosim.probing.prober import CHANCE, SAME, Course, Fmu, Prober, outputs_along, put_row, run_along, sine_course
 
 WARM, INSTANCES = 2, 6  # instances created before and during the measurement of memory
 LEAK = 1e6  # growth per instance that exceeds allocator overhead [bytes]

@@ -16,8 +16,18 @@ from cosim.core.arrays import Array, Flags, NamedValues
 from cosim.core.errors import FmuError, InputError, SimulationError
 from cosim.fmi.description import reals, scalars, states_of
 from cosim.probing.fmu_structure import Connection, Damping, Pair, Port, ProbedParameter, Structure
-from cosim.probing.log_runs import SAME, Course, Fmu, Run, nominal_of, simulate
-from cosim.probing.prober import Prober, quantities, separate_pairs, tried_parameters
+from cosim.probing.prober import (
+    SAME,
+    Course,
+    Fmu,
+    Prober,
+    Run,
+    nominal_of,
+    quantities,
+    separate_pairs,
+    simulate,
+    tried_parameters,
+)
 from cosim.terms.language import RatioFactor
 
 STEADY = 1e-2  # share of a value by which a constant state or input is displaced

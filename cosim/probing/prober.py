@@ -1,10 +1,13 @@
-"""Client of a probed FMU: its worker process, signals and pairs."""
+"""Simulations of a probed FMU along the inputs of a log or along small sines, and the worker process that runs them."""
 
 from __future__ import annotations
 
+import ctypes
+import math
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from contextlib import ExitStack, closing, contextmanager
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Self
@@ -12,19 +15,321 @@ from typing import Any, Self
 import numpy as np
 
 from cosim.blocks.compiling import permission, with_permission
+from cosim.blocks.derivatives import DifferentiableFmu
+from cosim.blocks.fmu import FmuBlock
 from cosim.core.arrays import Array
 from cosim.core.errors import SimulationError
 from cosim.core.scratch import temporary_folder
 from cosim.files.archive import unpack
-from cosim.fmi.description import REALS, read_description, unit_of
+from cosim.fmi.description import REALS, Way, read_description, reals, scalars, states_of, unit_of
 from cosim.fmi.fmi_types import element_names
+from cosim.isolation import worker as here
 from cosim.isolation.limits import Limits
 from cosim.isolation.process import Worker
+from cosim.isolation.rows import ADVANCE, GET, OTHER, PUT
 from cosim.isolation.watch import Watch, fmi_calls
+from cosim.logs.log import Log
 from cosim.model.quantities import Quantity
-from cosim.probing.fmu_structure import START_STEP, ProbedParameter, StartValue
-from cosim.probing.log_runs import CHANCE, SAME, Course, Fmu, limits_of, noise_of, nominal_of, outputs_along
+from cosim.probing.fmu_structure import START_STEP, EventCount, ProbedParameter, StartValue
 from cosim.scenario.start_values import settable
+
+ROWS, SECONDS = 400, 10.0  # simulation without a log: number of rows, and duration without a default experiment [s]
+SHARE = 0.1  # amplitude of a sine relative to the input's range or start value
+SAME = 1e-9  # relative difference below which numbers are equal
+CHANCE = 10.0  # difference relative to that of repeated simulations, up to which it is random
+SINES = (1.0, 3.0, 7.0, 13.0)  # periods over the duration; every input has its own phases
+
+
+@dataclass(frozen=True, eq=False)
+class Course:
+    """Inputs of a simulation, constant between rows, and measurements for its initial states.
+
+    Attributes:
+        step: Typical step [s].
+        states: Initial values of states by number, instead of those of the FMU.
+    """
+
+    name: str
+    time: Array
+    inputs: Mapping[str, Array]
+    outputs: Mapping[str, Array]
+    step: float
+    states: Mapping[int, float] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, log: Log) -> Course:
+        """Return the course of a log."""
+        return cls(log.path.name, log.time, dict(log.inputs), dict(log.outputs), log.step)
+
+    def first(self, rows: int) -> Course:
+        """Return the first rows."""
+        inputs, outputs = ({n: v[:rows] for n, v in each.items()} for each in (self.inputs, self.outputs))
+        return replace(self, time=self.time[:rows], inputs=inputs, outputs=outputs)
+
+    def begun(self, shown: Mapping[int, int], outputs: Sequence[str]) -> Course:
+        """Return the course with initial states taken from the measurements in its first row.
+
+        Args:
+            shown: Number of a state → number of the output that equals it.
+        """
+        columns = {k: self.outputs.get(outputs[j]) for k, j in shown.items()}
+        first = {k: float(y[0]) for k, y in columns.items() if y is not None and np.isfinite(y[0])}
+        return replace(self, states=first)
+
+    def parted(self, row: int, parts: int) -> Course:
+        """Return the course with two additional rows in the step after a row, spaced by a part of the step."""
+        if parts == 1:
+            return self
+        part = (self.time[row + 1] - self.time[row]) / parts
+        time = np.insert(self.time, row + 1, self.time[row] + part * np.array([1.0, 2.0]))
+        inputs = {n: np.insert(v, row + 1, [v[row]] * 2) for n, v in self.inputs.items()}
+        return replace(self, time=time, inputs=inputs, outputs={})
+
+
+def sine_course(description: Any) -> Course:
+    """Return a course of small sines with many periods around the start values of the inputs."""
+    experiment = description.defaultExperiment
+    begin = float(getattr(experiment, "startTime", None) or 0.0)
+    end = float(getattr(experiment, "stopTime", None) or 0.0)
+    duration = end - begin if end > begin else SECONDS
+    step = float(getattr(experiment, "stepSize", None) or duration / ROWS)
+    step *= max(1, round(duration / ROWS / step))  # whole steps of the FMU
+    rows = int(min(ROWS, max(2, round(duration / step))))
+    time = np.asarray(begin + step * np.arange(rows + 1), np.float64)
+    phase = 2.0 * np.pi * np.arange(rows + 1) / rows
+    inputs = {}
+    for k, variable in enumerate(v for v in reals(description, "input") if not v.shape):
+        start = float(variable.start or 0.0)
+        waves = [np.sin(p * phase + 1.7 * k + p) for p in SINES]
+        size, (low, high) = amplitude_of(variable, start), limits_of(variable)
+        centre = min(max(start, low + size), high - size)
+        inputs[variable.name] = np.asarray(centre + size / len(SINES) * np.sum(waves, axis=0), np.float64)
+    return Course("sines", time, inputs, {}, step)
+
+
+def amplitude_of(variable: Any, start: float) -> float:
+    """Return a small amplitude for a variable: a share of its range, start value or nominal value."""
+    low, high = limits_of(variable)
+    if math.isfinite(high - low) and high > low:
+        return SHARE * (high - low)
+    return SHARE * (abs(start) or abs(nominal_of(variable)) or 1.0)
+
+
+def nominal_of(variable: Any) -> float:
+    """Return the nominal value of a variable or of its type; 0 if it has none."""
+    return float(getattr(variable, "nominal", None) or getattr(variable.declaredType, "nominal", None) or 0.0)
+
+
+def limits_of(variable: Any) -> tuple[float, float]:
+    """Return min and max of a variable or of its type; infinite if it has none."""
+
+    def end(name: str, default: float) -> float:
+        values = getattr(variable, name, None), getattr(variable.declaredType, name, None)
+        return next((float(v) for v in values if v is not None), default)
+
+    return end("min", -math.inf), end("max", math.inf)
+
+
+def moved(variable: Any, held: Array) -> Array:
+    """Return values of a variable displaced by a typical size, downward where an upper limit requires it."""
+    size, (low, high) = float(np.std(held)) or amplitude_of(variable, float(held[0])), limits_of(variable)
+    if held.max() + size > high and held.min() - size >= low:
+        size = -size
+    return np.clip(held + size, min(low, float(held.min())), max(high, float(held.max())))
+
+
+def noise_of(table: Array, repeated: Array, size: Array) -> Array:
+    """Return the differences between equal simulations, due to rounding or randomness, for each column of a table.
+
+    Args:
+        size: Magnitude of each column.
+    """
+    rows = min(len(table), len(repeated))
+    apart: Array = np.nan_to_num(np.abs(table[:rows] - repeated[:rows])).max(axis=0, initial=0.0)
+    return SAME * size + CHANCE * apart
+
+
+@dataclass(eq=False)
+class Run:
+    """Simulation along a course, up to its end or to the failure of the FMU.
+
+    Attributes:
+        time: Times of the rows [s].
+        states, inputs, values: One row for each time; values are derivatives and outputs in model exchange, else
+            outputs.
+        stop: Error that ended the simulation early.
+    """
+
+    time: Array
+    states: Array
+    inputs: Array
+    values: Array
+    events: EventCount
+    stop: SimulationError | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Fmu:
+    """An FMU as passed to the worker process.
+
+    Attributes:
+        place: Folder of the unpacked FMU.
+        values: Start values.
+    """
+
+    path: Path
+    place: Path
+    description: Any
+    values: Mapping[str, Any]
+
+    @property
+    def name(self) -> str:
+        """Return the name of the file, for messages."""
+        return self.path.name
+
+    @property
+    def names(self) -> tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...]]:
+        """Return names of continuous states, inputs and outputs."""
+        about = self.description
+        return scalars(states_of(about)), scalars(reals(about, "input")), scalars(reals(about, "output"))
+
+    def too_short(self, course: Course) -> SimulationError:
+        """Return the error for a course with too few rows."""
+        text = "the log has too few rows to probe the FMU; give a longer one"
+        return SimulationError(self.name, float(course.time[0]), text)
+
+    @contextmanager
+    def opened(
+        self, course: Course, way: Way | None = None, recorded: frozenset[str] = frozenset()
+    ) -> Iterator[tuple[Any, Any]]:
+        """Yield an instance, loaded but not initialized, with the first inputs of a course, and its row of signals.
+
+        Args:
+            way: Interface that is stepped; None for a model-exchange instance with access to derivatives.
+            recorded: Names of further variables to read besides the outputs.
+        """
+        about = self.name, self.path, self.description, self.values, frozenset(course.inputs)
+        block = FmuBlock(*about, way=way, recorded=recorded) if way else DifferentiableFmu(*about)
+        here.progress.made[0] = 0
+        announce(OTHER)
+        block.instance.place = self.place
+        here.share_log(block)
+        row = (ctypes.c_double * max(1, len(block.inputs) + len(block.outputs)))()
+        block.bind(row, 0, [None] * (len(block.exact_inputs) + len(block.exact_outputs)), 0)
+        # loading has its own time limit; outputs are read after initialization
+        end = float(course.time[-1]) + course.step
+        block.load()
+        announce(GET)
+        block.begin(float(course.time[0]), end)
+        put_row(block, row, course, 0)
+        with closing(block):
+            yield block, row
+
+
+def announce(call: int) -> None:
+    """Announce the next FMU call to the parent of the worker, for its time limit."""
+    here.progress.doing[0] = call
+
+
+def put_row(block: FmuBlock, row: Any, course: Course, k: int) -> None:
+    """Set the inputs of row k of the course."""
+    for number, signal in enumerate(block.inputs):
+        if signal.name in course.inputs:
+            row[number] = float(course.inputs[signal.name][k])
+    announce(PUT)
+    block.put()
+
+
+def simulate(
+    fmu: Fmu,
+    course: Course,
+    visit: Callable[[DifferentiableFmu, float, Array, Array], None] = lambda block, t, x, u: None,
+    rows: Collection[int] = (),
+) -> Run:
+    """Simulate an FMU for model exchange along a course with the solver.
+
+    Args:
+        visit: Function of (FMU, time, states, inputs), called at each row of `rows`; it must not change the FMU.
+    """
+    visited, last = frozenset(rows), course.time.size - 1
+    states, inputs, values = list[Array](), list[Array](), list[Array]()
+    stop: SimulationError | None = None
+    with fmu.opened(course) as (block, row):
+        try:
+            block.start()
+            if course.states:
+                x, u = block.current_point()
+                x[[*course.states]] = [*course.states.values()]
+                block.move(float(course.time[0]), x, u)
+                block.instance.solver.reset(float(course.time[0]))
+            for k, t in enumerate(course.time.tolist()):
+                put_row(block, row, course, k)
+                x, u = block.current_point()
+                values.append(block.rates(x, u))
+                states.append(x)
+                inputs.append(u)
+                if k in visited:
+                    visit(block, t, x, u)
+                    block.rates(x, u)
+                if k < last:
+                    announce(ADVANCE)
+                    block.advance(t, float(course.time[k + 1]) - t)
+                    here.progress.made[0] += 1
+        except SimulationError as error:
+            stop = error
+        counts, made = block.instance.event_counts, len(inputs)
+    events = EventCount(course.name, counts["state"], counts["time"], counts["step"])
+    known, u, rates = (
+        np.array(each, float).reshape(made, -1 if made else 0) for each in (states, inputs, values[:made])
+    )
+    return Run(course.time[:made], known, u, rates, events, stop)
+
+
+def run_along(
+    block: FmuBlock, row: Any, course: Course, first: int | None = None
+) -> tuple[Array, SimulationError | None]:
+    """Return the outputs of a loaded FMU along a course, one row each, and the error that ended it early.
+
+    Args:
+        first: Row at which an initialized FMU continues; None to initialize it.
+    """
+    table, stop = list[list[float]](), None
+
+    def get() -> None:
+        announce(GET)
+        block.get()
+        table.append(row[len(block.inputs) : len(block.inputs) + len(block.outputs)])
+
+    try:
+        if first is None:
+            announce(OTHER)
+            block.start()
+        get()
+        for k in range(first or 0, course.time.size - 1):
+            put_row(block, row, course, k)
+            announce(ADVANCE)
+            block.advance(float(course.time[k]), float(course.time[k + 1] - course.time[k]))
+            put_row(block, row, course, k + 1)
+            get()
+            here.progress.made[0] += 1
+    except SimulationError as error:
+        stop = error
+    return np.array(table, float).reshape(len(table), len(block.outputs)), stop
+
+
+def outputs_along(
+    fmu: Fmu, course: Course, way: Way = "co-simulation", recorded: frozenset[str] = frozenset()
+) -> tuple[Array, SimulationError | None]:
+    """Return the outputs along a course, then recorded variables, and the error that ended it early."""
+    with fmu.opened(course, way, recorded) as (block, row):
+        table, stop = run_along(block, row, course)
+        names = [s.name for s in block.outputs]
+    order = dict.fromkeys((*scalars(reals(fmu.description, "output")), *names))
+    return table[:, [names.index(name) for name in order]], stop
+
+
+# Client of a probed FMU: its worker process, signals and pairs.
+
 
 Job = Callable[..., Any]
 MODULES = ("cosim.probing.model_exchange", "cosim.probing.misbehaviour", "fmpy.fmi2", "fmpy.fmi3", "fmpy.logging")

@@ -13,7 +13,7 @@ ARTEFACTS = (
         schema="cosim.refinement.study:StudyFile",
         schema_name="study",
         title="cosim study",
-        check="cosim.refinement.outlook:check_study",
+        check="cosim.refinement.study:check_study",
     ),
     Artefact(
         ANSWER,

@@ -21,8 +21,7 @@ from cosim.refinement.decision.claims import Claims, text_of
 from cosim.refinement.decision.posterior import Grade, Verdict
 from cosim.refinement.proof.measure import OTHER_HORIZONS, Floors, Part, Replayed, Replays, rmse
 from cosim.refinement.search.fits import Hypothesis
-from cosim.refinement.search.input_hold import Between, Way
-from cosim.refinement.study import Study
+from cosim.refinement.study import Interpolation, Study
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Likelihood = Annotated[  # null if the filter diverged
@@ -120,7 +119,7 @@ class Inputs(BaseModel):
     gain_otherwise: log-likelihood gained with every input taken the other way
     """
 
-    taken: dict[str, Way]
+    taken: dict[str, Interpolation]
     gain_otherwise: Likelihood
 
 
@@ -285,7 +284,7 @@ def record(
     *,
     unfitted: Fit,
     noise: Noise,
-    between: Between,
+    gain_otherwise: float,
     played: Replayed,
     floors: Floors,
     way: Replays,
@@ -299,11 +298,12 @@ def record(
         outputs: Measured outputs.
         unfitted: Given model with fitted parameters per log.
         noise: Noise of the best hypothesis, with sensor noise free of model errors.
-        between: Inputs between rows.
+        gain_otherwise: Log-likelihood gained with every input taken the other way between rows.
         ends: Final filtered values of parameters per log on sealed logs.
         untested: Effects that this study cannot test, with the reasons.
     """
-    judged, decision = study.subject.horizon, claims.decision
+    judged, decision, ramped = study.subject.horizon, claims.decision, study.settings.interpolated
+    taken: Any = {q.name: "interpolated" if q.name in ramped else "held" for q in study.subject.inputs}
 
     def errors(horizon: float) -> Errors:
         return Errors(
@@ -345,7 +345,7 @@ def record(
         untested=list(untested),
         measured=list(outputs),
         sensor_noise=dict(zip(outputs, np.exp(0.5 * noise.sensors).tolist(), strict=True)),
-        inputs=Inputs(taken=dict(between.ways), gain_otherwise=between.gain),
+        inputs=Inputs(taken=taken, gain_otherwise=gain_otherwise),
         warnings=list(study.warnings),
         residual=Residual.model_validate(claims.residual),
         replays=way,
@@ -362,13 +362,10 @@ def record(
 def unfinished(study: Study, tried: Sequence[Hypothesis]) -> dict[str, Any]:
     """Return the content of refine.json of a study that its limit of time has stopped: hypotheses, and no verdict."""
     base = max((h.fit.nll for h in tried if not h.names), default=math.nan)
+    gains = [(h, base - h.fit.nll) for h in sorted(tried, key=lambda h: h.score)]
     candidates = [
-        {
-            "names": list(h.names),
-            "log_likelihood_gain": base - h.fit.nll if math.isfinite(base - h.fit.nll) else None,
-            "parameters": _values(h),
-        }
-        for h in sorted(tried, key=lambda h: h.score)
+        {"names": [*h.names], "log_likelihood_gain": gain if math.isfinite(gain) else None, "parameters": _values(h)}
+        for h, gain in gains
     ]
     shared = {"schema_version": 1, "cosim_version": __version__, "study": str(study.path or "")}
     return {**shared, "finished": False, "candidates": candidates}

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from cosim.core.extras import pandas_for_frames
 from cosim.files.folders import content_of
 from cosim.fmi.building.refined import ANSWER, REFINED
 
@@ -78,17 +79,14 @@ class Refined:
 
     def to_pandas(self) -> pandas.DataFrame:
         """Return the errors before and after by part and channel; raise ImportError without pandas."""
-        try:
-            import pandas
-        except ImportError:
-            raise ImportError("to_pandas needs pandas: pip install pandas") from None
         rows = [
             {"model": model, "part": part, "channel": channel, "rmse": value}
             for model, parts in dict(self.record.get("error") or {}).items()
             for part, channels in (parts or {}).items()
             for channel, value in channels.items()
         ]
-        return pandas.DataFrame(rows, columns=["model", "part", "channel", "rmse"])
+        frame: pandas.DataFrame = pandas_for_frames().DataFrame(rows, columns=["model", "part", "channel", "rmse"])
+        return frame
 
     def plot(self, part: str = "validation") -> Figure:
         """Plot the errors of each channel with matplotlib.

@@ -18,17 +18,17 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Discriminator, Fiel
 from cosim.core.errors import Fault, InputError, NotExecuted, refuse
 from cosim.core.messages import Note, with_prefix
 from cosim.core.registry import BASE
-from cosim.core.text import counted, did_you_mean, plain
+from cosim.core.text import counted, did_you_mean, join_names, plain
 from cosim.core.units import has_unit, read_quantity
 from cosim.estimation.problem import Settings
 from cosim.estimation.subject.fmu_subject import FmuSubject
 from cosim.estimation.subject.interface import Subject
 from cosim.estimation.subject.model_subject import ModelSubject
-from cosim.files.artefact import STUDY, kind_by_keys
+from cosim.files.artefact import STUDY, Checking, kind_by_keys
 from cosim.files.files import FilePath
 from cosim.files.kinds import check_form, refuse_other
 from cosim.files.yaml_file import UNIT_OF_KEY, Positive, PositiveSeconds, YamlFile
-from cosim.fmi.building.file import load_model, own_terms
+from cosim.fmi.building.file import load_model, own_terms, skipped_files
 from cosim.fmi.building.substep import with_substep
 from cosim.fmi.native.compiler import compiler, cure
 from cosim.isolation.limits import Limits, read_limits
@@ -38,6 +38,7 @@ from cosim.logs.spikes import drop_outliers, find_spikes
 from cosim.probing.places import probe_places
 from cosim.residuals.drive import log_of_fmu
 from cosim.residuals.windows import SKIPPED
+from cosim.terms.language import with_place
 
 FMU_SUFFIX = ".fmu"
 SCORED = 1.0  # [s] least scored time, beside the skipped start and one horizon
@@ -171,6 +172,11 @@ class Study:
         return self.subject.title if self.path is None else self.path.resolve().parent.name
 
     @property
+    def varied(self) -> list[str]:
+        """Return the inputs that change in some estimation log."""
+        return [q.name for q in self.subject.inputs if any(np.ptp(log.inputs[q.name]) > 0.0 for log in self.logs)]
+
+    @property
     def settings(self) -> Settings:
         """Return the settings of the logs for the fits."""
         subject, content = self.subject, self.content
@@ -286,7 +292,7 @@ def _of_fmu(yaml: YamlFile, content: StudyFile, faults: list[Fault]) -> Study:
     if compiler() is None:
         raise InputError.at(fmu, f"a refinement of an FMU needs a C compiler; {cure('refine')}")
     probed = probe_places(fmu, logs)
-    if probed.structure.way == "co-simulation" and probed.own_step and probed.own_step.distorts:
+    if probed.structure.way == "co-simulation" and probed.own_step:
         step, own = probed.structure.step, f"{probed.own_step.length:.3g} s"
         message = (
             f"{content.model} has no usable model exchange ({probed.reason}), and its co-simulation takes steps of its "
@@ -536,3 +542,92 @@ def _group_faults(places: Places, content: StudyFile) -> Iterator[Fault]:
                 where = "twice" if owner[path] == group else f"in {owner[path]} too"
                 yield places.fault(place, f"{name} stands {where}; a log has one group, keep one")
             owner.setdefault(path, group)
+
+
+# Outlook on a refinement: what `cosim refine` can find with the logs of a study, and what it cannot.
+
+
+FEWEST_STEPPED = 2  # estimation logs in co-simulation, where the filter has no process noise inside the FMU
+
+
+def check_study(path: Path, checking: Checking) -> list[str]:
+    """Return the warnings of a study, and what a refinement can find in its FMU.
+
+    Raises:
+        InputError: The study has faults.
+    """
+    keys = keys_of(path)
+    model = keys[1].model
+    if model.lower().endswith(FMU_SUFFIX) and checking.worker is None and skipped_files.get() is not None:
+        read_parts_of_fmu(*keys)
+        return [
+            f"warning: {model} is not loaded (--no-load), so the names of candidates, noise and tolerance are not "
+            "checked"
+        ]
+    study = read_study(path)
+    found = [f"warning: {text}" for text in study.warnings]
+    found += [Note(f"not tested: {text}") for text in untested_effects(study)]
+    if not isinstance(study.subject, FmuSubject):
+        return found
+    subject, logs = study.subject, study.content.logs
+    s, count = subject.structure, len(subject.candidates([q.name for q in subject.inputs]))
+    found.append(Note(f"`cosim refine` will use {subject.source.removeprefix(f'{s.fmu}, ')}"))
+    place = f"the places that `cosim info --places {s.fmu.name}` lists"
+    found.append(Note(f"`cosim refine` will try {count} terms and parameters at {place}"))
+    if subject.is_stepped and len({log.path for log in study.logs}) < FEWEST_STEPPED:
+        found.append(
+            f"warning: co-simulation has free runs only, so at least {FEWEST_STEPPED} estimation logs are needed to "
+            "judge a claim"
+        )
+    if not logs.validation:
+        many = counted(len(logs.estimation), "log")
+        found.append(
+            Note(f"no validation log: a claim from {many} will not be proven on data that no decision has used")
+        )
+    return found
+
+
+def untested_effects(study: Study) -> list[str]:
+    """Return the effects that a refinement of this subject with these logs cannot test, each with the reason."""
+    subject, logs, named = study.subject, study.logs, study.content.candidates
+    still = [q.name for q in subject.inputs if q.name not in study.varied]
+    untested = [subject.untried] if subject.untried else []
+    if isinstance(subject, FmuSubject):
+        untested += _untested_of_fmu(subject, logs, still)
+    elif still:
+        possible = {c.name for c in subject.candidates([q.name for q in subject.inputs])}
+        left_out = sorted(possible - {c.name for c in subject.candidates(study.varied)})
+        untested += [f"{join_names(left_out)} (constant in all logs: {join_names(still)})"] if left_out else []
+    if named is not None:
+        untested.append(f"effects beside the {counted(len(named), 'candidate')} that the study names")
+    return untested
+
+
+def _untested_of_fmu(subject: FmuSubject, logs: Sequence[Log], still: Sequence[str]) -> Iterator[str]:
+    """Yield the terms and parameters of an FMU that cannot be tested.
+
+    Args:
+        still: Inputs that never change in the estimation logs.
+    """
+    s, names = subject.structure, subject.names
+    logged = set[str]().union(*(log.outputs for log in logs))
+    one_way = []  # velocities that keep their sign in all logs
+    for pair in s.pairs:
+        name = with_place(s.shown_as(pair.velocity))
+        readings = np.concatenate([np.zeros(0), *(log.outputs[name] for log in logs if name in log.outputs)])
+        if readings.size and (np.nanmin(readings) >= 0.0 or np.nanmax(readings) <= 0.0):
+            one_way.append(pair.velocity)
+    for text, places in (
+        ("terms at inputs that are constant in all logs ({})", [q.name for q in s.inputs if names[q.name] in still]),
+        ("sensor errors of outputs that no log has ({})", [q.name for q in s.outputs if names[q.name] not in logged]),
+        ("parameters that change no output ({})", [p.name for p in s.parameters if not (p.acts or p.starts)]),
+        (
+            "forces where no input acts, in co-simulation ({})",
+            [p.velocity for p in s.pairs if subject.is_stepped and not p.ports],
+        ),
+        ("dry friction in contrast to a constant force, where the velocity never reverses ({})", one_way),
+    ):
+        if places:
+            yield text.format(join_names(places))
+    if not s.pairs:
+        yield "friction and other forces (no output is recognised as a position or its rate)"

@@ -46,11 +46,8 @@ from cosim.files.files import (
 from cosim.files.folders import remove_earlier
 from cosim.fmi.building.refined import ANSWER, NEAREST, REFINED
 from cosim.isolation.limits import Limits
-from cosim.refinement.decision.bundle import fit_given_model
+from cosim.refinement.decision.bundle import between_rows, fit_given_model, late_input
 from cosim.refinement.decision.claims import Claims, claims_of, floor_warning, sentence
-from cosim.refinement.decision.trust import attribute
-from cosim.refinement.outlook import untested_effects
-from cosim.refinement.proof.credibility import credibility_of
 from cosim.refinement.proof.measure import (
     FLOOR_SEED,
     Floors,
@@ -58,6 +55,7 @@ from cosim.refinement.proof.measure import (
     Replayed,
     Replays,
     Variant,
+    credibility_of,
     final_log_parameters,
     find_rises,
     log_noise,
@@ -70,10 +68,10 @@ from cosim.refinement.proof.measure import (
 )
 from cosim.refinement.record import record, unfinished
 from cosim.refinement.refinement import Refinement
+from cosim.refinement.search.attribution import attribute
 from cosim.refinement.search.fits import Hypothesis, Search
-from cosim.refinement.search.input_hold import between_rows, late_input
 from cosim.refinement.stages import Watcher, report_ranking
-from cosim.refinement.study import Study, read_study
+from cosim.refinement.study import Study, read_study, untested_effects
 from cosim.residuals.compare import horizon_name
 from cosim.residuals.residual_statistics import COUNTS_FROM
 
@@ -122,122 +120,101 @@ def refine(
     problem = _build_problem(study)
     refuse(_divergences(study, problem))
     study = _with_predictable_horizon(study, problem)
-    with showing({"display": study.subject.display}):
-        return _refine(study, folder, problem, limited, untested, report=report, in_process=in_process)
-
-
-def _refine(
-    study: Study,
-    folder: Path,
-    problem: Problem,
-    limited: _Limited,
-    untested: Sequence[str],
-    *,
-    report: bool,
-    in_process: bool,
-) -> Refinement:
-    """Search, decide and prove."""
-    subject, progress, start = study.subject, limited.progress, limited.start
-    try:
-        search = attribute(subject, problem, _candidates(study), limited)
-        limited("weighing what was found", 0.0)
-        claims = claims_of(study, search, limited)
-    except TimedOut:
-        remove_earlier(folder, read=study.files)
-        write_json(folder / ANSWER, unfinished(study, limited.tried), allow_nan=False)
-        raise
-    between = between_rows(search.problem, claims.base)
-    unfitted = fit_given_model(search.problem, claims.base.fit)
-    noise = log_noise(claims.best.fit.noise, search.free_noise)
-    late = late_input(search.problem, claims.best) if claims.best.fit.free else None
-    other = between if late is None or late.gain < between.gain else late
-    warnings = [*noise_warnings(problem, noise, subject), *([other.warning] if other.warning else [])]
-    if subject.probed:
-        warnings += cell_warnings(problem, subject)
-    allowed = study.content.limits
-    with scratch_folder(folder, ".refine-") as scratch, Workplace(scratch, allowed, in_process=in_process) as place:
-        progress("building the refined FMU", 0.0)
-        variants = _variants(search, claims, unfitted)
-        files = [*variants["after"].subject.write(scratch, folder, "refined")]
-        if "nearest" in variants:
-            files += variants["nearest"].subject.write(scratch, folder, "nearest")
-        progress("replaying through the FMUs", 0.0)
-        sealed = study.unseal()  # after all decisions
-        sets: LogSets = {"estimation": study.logs, "validation": sealed} if sealed else {"estimation": study.logs}
-        played, way = replay_variants(variants, problem, sets, place)
-        progress("measuring the noise floor", 0.0)
-        delivered = "after" if claims.claimed is not None else "nearest"
-        best = variants.get(delivered, variants["after"])
-        quiet = replace(best, noise=log_noise(claims.delivered.fit.noise, search.free_noise))
-        rng = np.random.default_rng(FLOOR_SEED)  # fixed for reproducible results
-        floors: Floors = {part: noise_floor(quiet, problem, logs, rng) for part, logs in sets.items()}
-        ends = final_log_parameters(variants["after"], problem, sealed)
-        progress("measuring error bands", 0.0)
-        records = {}
-        for name, h in {"after": claims.claimed, "nearest": claims.nearest}.items():
-            file = scratch / FILES_OF[name]
-            if name in variants and file in files:
-                over = {part: by[subject.horizon] for part, by in played[name].items()}
-                try:
-                    records[file] = credibility_of(search, h, variants[name], over, sets, place=place, fmu=file)
-                except CosimError as error:
-                    warnings.append(f"{file.name} has no record of credibility: {error}")
-        hold_stops()  # From here, a result exists that must not be lost.
-        warnings += [*failure_warnings(problem), *_proof_warnings(variants, way, floors, played)]
-        study = replace(study, warnings=(*study.warnings, *warnings))
-        risen: dict[str, tuple[float, float]] = {}
-        remaining: dict[str, float] = {}
-        if sealed and delivered in played:
-            before, after = (played[name]["validation"][subject.horizon] for name in ("before", delivered))
-            risen = find_rises(before, after)
-            remaining = remaining_on_sealed_logs(before, after, floors["validation"].level)
-        text = sentence(
-            claims,
-            subject,
-            risen,
-            remaining,
-            between.line,
-            is_written=bool(files),
-        )
-        written = record(
-            study,
-            claims,
-            text,
-            problem.layout.outputs,
-            unfitted=unfitted,
-            noise=noise,
-            between=between,
-            played=played,
-            floors=floors,
-            way=way,
-            ends=ends,
-            untested=untested,
-            seconds=time.perf_counter() - start,
-        )
-        for file, (known, covered) in records.items():
-            attach(file, known.model_copy(update={"verdict": written.verdict, "sentence": text}))
-            if file == scratch / FILES_OF[delivered]:
-                written.coverage = covered
-        content = written.model_dump(mode="json")
-        write_json(scratch / ANSWER, content, allow_nan=False)
-        with delay_stops():
+    subject = study.subject
+    with showing({"display": subject.display}):
+        try:
+            search = attribute(subject, problem, _candidates(study), limited)
+            limited("weighing what was found", 0.0)
+            claims = claims_of(study, search, limited)
+        except TimedOut:
             remove_earlier(folder, read=study.files)
-            results = [*files, scratch / ANSWER]
-            for name in {*REFINED, *NEAREST, "report.html"} - {path.name for path in results}:
-                (folder / name).unlink(missing_ok=True)  # of an earlier study, be its answer there or not
-            for path in results:
-                path.replace(folder / path.name)
-        release_stops()
-    searched, horizon = search.problem, subject.horizon
-    evidence = {name: {part: by[horizon] for part, by in parts.items()} for name, parts in played.items()}
-    problem = replace(problem, trusted=searched.trusted, scatter=searched.scatter)
-    outcome = Refinement(study, claims, content, folder, problem, variants, evidence, risen)
-    if report:
-        from cosim.refinement.report.refine_page import write_refine_report
+            write_json(folder / ANSWER, unfinished(study, limited.tried), allow_nan=False)
+            raise
+        between = between_rows(search.problem, claims.base)
+        unfitted = fit_given_model(search.problem, claims.base.fit)
+        noise = log_noise(claims.best.fit.noise, search.free_noise)
+        late = late_input(search.problem, claims.best) if claims.best.fit.free else None
+        other = between if late is None or late.gain < between.gain else late
+        warnings = [*noise_warnings(problem, noise, subject), *([other.warning] if other.warning else [])]
+        if subject.probed:
+            warnings += cell_warnings(problem, subject)
+        allowed = study.content.limits
+        with scratch_folder(folder, ".refine-") as scratch, Workplace(scratch, allowed, in_process=in_process) as place:
+            progress("building the refined FMU", 0.0)
+            variants = _variants(search, claims, unfitted)
+            files = [*variants["after"].subject.write(scratch, folder, "refined")]
+            if "nearest" in variants:
+                files += variants["nearest"].subject.write(scratch, folder, "nearest")
+            progress("replaying through the FMUs", 0.0)
+            sealed = study.unseal()  # after all decisions
+            sets: LogSets = {"estimation": study.logs, "validation": sealed} if sealed else {"estimation": study.logs}
+            played, way = replay_variants(variants, problem, sets, place)
+            progress("measuring the noise floor", 0.0)
+            delivered = "after" if claims.claimed is not None else "nearest"
+            best = variants.get(delivered, variants["after"])
+            quiet = replace(best, noise=log_noise(claims.delivered.fit.noise, search.free_noise))
+            rng = np.random.default_rng(FLOOR_SEED)  # fixed for reproducible results
+            floors: Floors = {part: noise_floor(quiet, problem, logs, rng) for part, logs in sets.items()}
+            ends = final_log_parameters(variants["after"], problem, sealed)
+            progress("measuring error bands", 0.0)
+            records = {}
+            for name, h in {"after": claims.claimed, "nearest": claims.nearest}.items():
+                file = scratch / FILES_OF[name]
+                if name in variants and file in files:
+                    over = {part: by[subject.horizon] for part, by in played[name].items()}
+                    try:
+                        records[file] = credibility_of(search, h, variants[name], over, sets, place=place, fmu=file)
+                    except CosimError as error:
+                        warnings.append(f"{file.name} has no record of credibility: {error}")
+            hold_stops()  # From here, a result exists that must not be lost.
+            warnings += [*failure_warnings(problem), *_proof_warnings(variants, way, floors, played)]
+            study = replace(study, warnings=(*study.warnings, *warnings))
+            risen: dict[str, tuple[float, float]] = {}
+            remaining: dict[str, float] = {}
+            if sealed and delivered in played:
+                before, after = (played[name]["validation"][subject.horizon] for name in ("before", delivered))
+                risen = find_rises(before, after)
+                remaining = remaining_on_sealed_logs(before, after, floors["validation"].level)
+            text = sentence(claims, subject, risen, remaining, is_written=bool(files))
+            written = record(
+                study,
+                claims,
+                text,
+                problem.layout.outputs,
+                unfitted=unfitted,
+                noise=noise,
+                gain_otherwise=between.gain,
+                played=played,
+                floors=floors,
+                way=way,
+                ends=ends,
+                untested=untested,
+                seconds=time.perf_counter() - start,
+            )
+            for file, (known, covered) in records.items():
+                attach(file, known.model_copy(update={"verdict": written.verdict, "sentence": text}))
+                if file == scratch / FILES_OF[delivered]:
+                    written.coverage = covered
+            content = written.model_dump(mode="json")
+            write_json(scratch / ANSWER, content, allow_nan=False)
+            with delay_stops():
+                remove_earlier(folder, read=study.files)
+                results = [*files, scratch / ANSWER]
+                for name in {*REFINED, *NEAREST, "report.html"} - {path.name for path in results}:
+                    (folder / name).unlink(missing_ok=True)  # of an earlier study, be its answer there or not
+                for path in results:
+                    path.replace(folder / path.name)
+            release_stops()
+        searched, horizon = search.problem, subject.horizon
+        evidence = {name: {part: by[horizon] for part, by in parts.items()} for name, parts in played.items()}
+        problem = replace(problem, trusted=searched.trusted, scatter=searched.scatter)
+        outcome = Refinement(study, claims, content, folder, problem, variants, evidence, risen)
+        if report:
+            from cosim.refinement.report.refine_page import write_refine_report
 
-        progress("drawing the report", 0.0)
-        write_refine_report(folder / "report.html", outcome)
-    return outcome
+            progress("drawing the report", 0.0)
+            write_refine_report(folder / "report.html", outcome)
+        return outcome
 
 
 class _Limited(Watcher):
@@ -315,8 +292,7 @@ def _divergences(study: Study, problem: Problem) -> Iterator[Fault]:
 def _candidates(study: Study) -> list[Candidate]:
     """Return the candidates named by the study, or all; of an FMU, without the sensors of outputs that no log has."""
     subject, named = study.subject, study.content.candidates
-    varied = [q.name for q in subject.inputs if any(np.ptp(log.inputs[q.name]) > 0.0 for log in study.logs)]
-    candidates = list(drop_own_parameters(subject.candidates(varied), study.settings.per_log))
+    candidates = list(drop_own_parameters(subject.candidates(study.varied), study.settings.per_log))
     if named is not None:
         return [c for c in candidates if c.name in named]
     logged = set().union(*(log.outputs for log in study.logs))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any, ClassVar
 
 from cosim.model.effects import Delay
@@ -11,51 +11,39 @@ from cosim.model.model import Number, Values
 from cosim.model.namespaces import Namespace
 from cosim.model.quantities import Quantity, parameter
 from cosim.model.sensors import Bias, Drift, Lag, Latency, Magnitude, Scale
-from cosim.terms.language import Force, InputTerm, Place, RateTerm, RememberingTerm, bind, scaled
+from cosim.terms.language import Force, InputTerm, Place, RateTerm, RememberingTerm, bind, scaled, scaled_size
 
 BEGUN = Quantity("begun", "1", "whether the memory is initialized")
+SOFTNESS = scaled("v", default=0.02, typical=0.01, low=1e-4, high=0.2, doc="velocity ε of the transition")
 SHORTEST = 1e-3  # minimum time constant of a lag, as a share of a substep; a smaller one is ignored
 
 # -- at an input -----------------------------------------------------------------------------------
 
 
-class InputBias(InputTerm):
-    """Offset of an input."""
-
-    kind = "bias"
-    equation = "u + b in place of u"
-
-    value: float = scaled("u", neutral=0.0, typical=0.05, low=-2.0, high=2.0, doc="offset b")
-
-    def change(self, m: Namespace, value: Number) -> Number:
-        """Return u + b."""
-        return value + self.value
-
-
-class InputGain(InputTerm):
-    """Gain of an input."""
-
-    kind = "gain"
-    equation = "k·u in place of u"
-
-    value: float = scaled("1", default=1.0, neutral=1.0, typical=0.1, low=0.05, high=10.0, doc="gain k")
-
-    def change(self, m: Namespace, value: Number) -> Number:
-        """Return k·u."""
-        return self.value * value
-
-
-class DeadBand(InputTerm):
-    """Dead band of an input about zero."""
-
-    kind = "dead_band"
-    equation = "u − clip(u, ±w) in place of u"
-
-    width: float = scaled("u", neutral=0.0, typical=0.1, low=0.0, high=2.0, doc="half width w")
-
-    def change(self, m: Namespace, value: Number) -> Number:
-        """Return u − clip(u, ±w)."""
-        return value - m.clip(value, -self.width, self.width)
+InputBias = InputTerm.named(
+    "bias",
+    equation="u + b in place of u",
+    value=scaled_size("u", typical=0.05, low=-2.0, high=2.0, doc="offset b"),
+    change=lambda e, m, u: u + e.value,
+)
+InputGain = InputTerm.named(
+    "gain",
+    equation="k·u in place of u",
+    value=scaled("1", default=1.0, neutral=1.0, typical=0.1, low=0.05, high=10.0, doc="gain k"),
+    change=lambda e, m, u: e.value * u,
+)
+DeadBand = InputTerm.named(
+    "dead_band",
+    equation="u − clip(u, ±w) in place of u",
+    width=scaled_size("u", typical=0.1, low=0.0, high=2.0, doc="half width w"),
+    change=lambda e, m, u: u - m.clip(u, -e.width, e.width),
+)
+SquareLaw = InputTerm.named(  # like the thrust of a propeller or the flow through a valve
+    "square_law",
+    equation="(1 − s)·u + s·u·|u|/M in place of u, M the largest |u|",
+    share=scaled_size("1", typical=0.3, low=-1.0, high=1.0, doc="share s of the square"),
+    change=lambda e, m, u: u + e.share * u * (m.sqrt(u * u) / e.place.sizes.get("M", 1.0) - 1.0),
+)
 
 
 class Saturation(InputTerm):
@@ -75,19 +63,6 @@ class Saturation(InputTerm):
         return m.where(self.inverse_limit > (1.0 + 1e-9) * least, m.clip(value, -limit, limit), value)
 
 
-class SquareLaw(InputTerm):
-    """Square law of an input, like the thrust of a propeller or the flow through a valve."""
-
-    kind = "square_law"
-    equation = "(1 − s)·u + s·u·|u|/M in place of u, M the largest |u|"
-
-    share: float = scaled("1", neutral=0.0, typical=0.3, low=-1.0, high=1.0, doc="share s of the square")
-
-    def change(self, m: Namespace, value: Number) -> Number:
-        """Return (1 − s)·u + s·u·|u|/M."""
-        return value + self.share * value * (m.sqrt(value * value) / self.place.sizes.get("M", 1.0) - 1.0)
-
-
 class RateLimit(RememberingTerm):
     """Limit of the rate of an input."""
 
@@ -95,7 +70,7 @@ class RateLimit(RememberingTerm):
     equation = "u follows with at most 1/i per second"
     memory = (Quantity("value", "1", "input after the limit"), BEGUN)
 
-    inverse_rate: float = scaled("T/u", neutral=0.0, typical=1.0, low=0.0, high=1000.0, doc="inverse i of the rate")
+    inverse_rate: float = scaled_size("T/u", typical=1.0, low=0.0, high=1000.0, doc="inverse i of the rate")
 
     def advance(self, m: Namespace, h: Number, value: Number, memory: Values) -> tuple[Number, Values]:
         """Return the mean over the substep, and the value at its end; exact for a constant input."""
@@ -113,7 +88,7 @@ class Play(RememberingTerm):
     equation = "p ← clip(p, u ± w), p in place of u"
     memory = (Quantity("value", "1", "input after the play"), BEGUN)
 
-    width: float = scaled("u", neutral=0.0, typical=0.1, low=0.0, high=2.0, doc="half width w")
+    width: float = scaled_size("u", typical=0.1, low=0.0, high=2.0, doc="half width w")
 
     def advance(self, m: Namespace, h: Number, value: Number, memory: Values) -> tuple[Number, Values]:
         """Return clip(p, u ± w)."""
@@ -128,7 +103,7 @@ class InputLag(RememberingTerm):
     equation = "T·u̇ₗ = u − uₗ, uₗ in place of u"
     memory = (Quantity("value", "1", "input after the lag"), BEGUN)
 
-    time: float = scaled("T", neutral=0.0, typical=3.0, low=0.0, high=1000.0, doc="time constant T")
+    time: float = scaled_size("T", typical=3.0, low=0.0, high=1000.0, doc="time constant T")
 
     def advance(self, m: Namespace, h: Number, value: Number, memory: Values) -> tuple[Number, Values]:
         """Return the mean over the substep, and the value at its end; exact for a constant input."""
@@ -151,7 +126,7 @@ class SecondOrderLag(RememberingTerm):
     )
     starts = ({"time": 2.0, "damping": 0.5}, {"time": 6.0, "damping": 0.7}, {"time": 20.0, "damping": 0.7})
 
-    time: float = scaled("T", neutral=0.0, typical=2.0, low=0.0, high=500.0, doc="time constant T")
+    time: float = scaled_size("T", typical=2.0, low=0.0, high=500.0, doc="time constant T")
     damping: float = scaled("1", default=0.7, typical=0.3, low=0.05, high=3.0, doc="damping ratio ζ")
 
     def advance(self, m: Namespace, h: Number, value: Number, memory: Values) -> tuple[Number, Values]:
@@ -175,19 +150,14 @@ class SecondOrderLag(RememberingTerm):
 # -- at a pair of position and velocity ------------------------------------------------------------
 
 
-class Coulomb(Force):
-    """Dry friction."""
-
-    kind = "coulomb"
-    equation = "−F·tanh(v/ε)"
-    resolved = ("softness",)
-
-    level: float = scaled("u", neutral=0.0, typical=0.1, low=0.0, high=5.0, doc="level F")
-    softness: float = scaled("v", default=0.02, typical=0.01, low=1e-4, high=0.2, doc="velocity ε of the transition")
-
-    def force(self, m: Namespace, position: Number, velocity: Number) -> Number:
-        """Return −F·tanh(v/ε)."""
-        return -self.level * m.tanh(velocity / self.softness)
+Coulomb = Force.named(
+    "coulomb",
+    equation="−F·tanh(v/ε)",
+    resolved=("softness",),
+    level=scaled_size("u", typical=0.1, low=0.0, high=5.0, doc="level F"),
+    softness=SOFTNESS,
+    force=lambda e, m, q, v: -e.level * m.tanh(v / e.softness),
+)
 
 
 class Stribeck(Force):
@@ -199,10 +169,10 @@ class Stribeck(Force):
     resolved = ("softness",)
     least: ClassVar[Mapping[str, float]] = {"speed": 3.0}  # a narrower peak imitates an unresolved transition
 
-    level: float = scaled("u", neutral=0.0, typical=0.1, low=0.0, high=5.0, doc="level F at speed")
-    breakaway: float = scaled("u", neutral=0.0, typical=0.2, low=0.0, high=10.0, doc="level B at rest")
+    level: float = scaled_size("u", typical=0.1, low=0.0, high=5.0, doc="level F at speed")
+    breakaway: float = scaled_size("u", typical=0.2, low=0.0, high=10.0, doc="level B at rest")
     speed: float = scaled("v", default=0.3, typical=0.1, low=0.02, high=1.5, doc="speed w of the decay")
-    softness: float = scaled("v", default=0.02, typical=0.01, low=1e-4, high=0.2, doc="velocity ε of the transition")
+    softness: float = SOFTNESS
 
     def force(self, m: Namespace, position: Number, velocity: Number) -> Number:
         """Return −(F + (B − F)·exp(−(v/w)²))·tanh(v/ε)."""
@@ -211,43 +181,24 @@ class Stribeck(Force):
         return -level * m.tanh(velocity / self.softness)
 
 
-class Viscous(Force):
-    """Viscous friction."""
-
-    kind = "viscous"
-    equation = "−c·v"
-
-    coefficient: float = scaled("u/v", neutral=0.0, typical=0.1, low=-5.0, high=5.0, doc="coefficient c")
-
-    def force(self, m: Namespace, position: Number, velocity: Number) -> Number:
-        """Return −c·v."""
-        return -self.coefficient * velocity
-
-
-class QuadraticDrag(Force):
-    """Drag proportional to the square of the velocity."""
-
-    kind = "quadratic_drag"
-    equation = "−c·v·|v|"
-
-    coefficient: float = scaled("u/v^2", neutral=0.0, typical=0.05, low=0.0, high=5.0, doc="coefficient c")
-
-    def force(self, m: Namespace, position: Number, velocity: Number) -> Number:
-        """Return −c·v·|v|."""
-        return -self.coefficient * velocity * m.sqrt(velocity * velocity)
-
-
-class CubicSpring(Force):
-    """Spring force proportional to the cube of the position."""
-
-    kind = "cubic_spring"
-    equation = "−k·q³"
-
-    stiffness: float = scaled("u/q^3", neutral=0.0, typical=0.1, low=-5.0, high=5.0, doc="stiffness k")
-
-    def force(self, m: Namespace, position: Number, velocity: Number) -> Number:
-        """Return −k·q³."""
-        return -self.stiffness * position * position * position
+Viscous = Force.named(
+    "viscous",
+    equation="−c·v",
+    coefficient=scaled_size("u/v", typical=0.1, low=-5.0, high=5.0, doc="coefficient c"),
+    force=lambda e, m, q, v: -e.coefficient * v,
+)
+QuadraticDrag = Force.named(
+    "quadratic_drag",
+    equation="−c·v·|v|",
+    coefficient=scaled_size("u/v^2", typical=0.05, low=0.0, high=5.0, doc="coefficient c"),
+    force=lambda e, m, q, v: -e.coefficient * v * m.sqrt(v * v),
+)
+CubicSpring = Force.named(
+    "cubic_spring",
+    equation="−k·q³",
+    stiffness=scaled_size("u/q^3", typical=0.1, low=-5.0, high=5.0, doc="stiffness k"),
+    force=lambda e, m, q, v: -e.stiffness * q * q * q,
+)
 
 
 class Cogging(Force):
@@ -258,8 +209,8 @@ class Cogging(Force):
     starts = tuple({"sine": 0.05, "period": 1.0 / periods} for periods in (3.0, 6.0, 12.0))
     repeats = "period"
 
-    sine: float = scaled("u", neutral=0.0, typical=0.05, low=-2.0, high=2.0, doc="amplitude a of the sine")
-    cosine: float = scaled("u", neutral=0.0, typical=0.05, low=-2.0, high=2.0, doc="amplitude b of the cosine")
+    sine: float = scaled_size("u", typical=0.05, low=-2.0, high=2.0, doc="amplitude a of the sine")
+    cosine: float = scaled_size("u", typical=0.05, low=-2.0, high=2.0, doc="amplitude b of the cosine")
     period: float = scaled("d", default=0.25, typical=0.02, low=5e-4, high=0.5, doc="period P")
 
     def force(self, m: Namespace, position: Number, velocity: Number) -> Number:
@@ -268,78 +219,44 @@ class Cogging(Force):
         return -self.sine * m.sin(angle) - self.cosine * m.cos(angle)
 
 
-class Offset(Force):
-    """Constant force on a pair without an input of its own."""
-
-    kind = "offset"
-    equation = "+F"
-
-    force_: float = scaled("u", neutral=0.0, typical=0.05, low=-5.0, high=5.0, doc="force F")
-
-    def force(self, m: Namespace, position: Number, velocity: Number) -> Number:
-        """Return F."""
-        return self.force_
-
-
-# -- at a connection of two pairs ------------------------------------------------------------------
-
-
-class Gap(Force):
-    """Free play of a connection. Its spring transmits force only beyond the gap."""
-
-    kind = "gap"
-    equation = "+k·clip(q, ±w)"
-
-    width: float = scaled("q", neutral=0.0, typical=0.1, low=0.0, high=5.0, doc="half width w")
-    stiffness: float = scaled("k", default=1.0, typical=0.1, low=0.5, high=2.0, doc="stiffness k of the connection")
-
-    def force(self, m: Namespace, position: Number, velocity: Number) -> Number:
-        """Return k·clip(q, ±w)."""
-        return self.stiffness * m.clip(position, -self.width, self.width)
+Offset = Force.named(  # of a pair without an input of its own
+    "offset",
+    equation="+F",
+    force_=scaled_size("u", typical=0.05, low=-5.0, high=5.0, doc="force F"),
+    force=lambda e, m, q, v: e.force_,
+)
+Gap = Force.named(  # the spring of a connection transmits force only beyond it
+    "gap",
+    equation="+k·clip(q, ±w)",
+    width=scaled_size("q", typical=0.1, low=0.0, high=5.0, doc="half width w"),
+    stiffness=scaled("k", default=1.0, typical=0.1, low=0.5, high=2.0, doc="stiffness k of the connection"),
+    force=lambda e, m, q, v: e.stiffness * m.clip(q, -e.width, e.width),
+)
 
 
 # -- at a storage state ----------------------------------------------------------------------------
 
 
-class Leak(RateTerm):
-    """Loss proportional to a level."""
-
-    kind = "leak"
-    equation = "−c·s in the rate of s"
-
-    coefficient: float = scaled("r/q", neutral=0.0, typical=0.05, low=0.0, high=5.0, doc="coefficient c")
-
-    def rate(self, m: Namespace, level: Number) -> Number:
-        """Return −c·s."""
-        return -self.coefficient * level
-
-
-class GrowingLeak(RateTerm):
-    """Loss proportional to the square of a level."""
-
-    kind = "growing_leak"
-    equation = "−c·s·|s| in the rate of s"
-
-    coefficient: float = scaled("r/q^2", neutral=0.0, typical=0.05, low=0.0, high=5.0, doc="coefficient c")
-
-    def rate(self, m: Namespace, level: Number) -> Number:
-        """Return −c·s·|s|."""
-        return -self.coefficient * level * m.sqrt(level * level)
-
-
-class Overflow(RateTerm):
-    """Overflow: loss proportional to the level above a limit."""
-
-    kind = "overflow"
-    equation = "−c·max(s − l, 0) in the rate of s"
-
-    coefficient: float = scaled("r/q", neutral=0.0, typical=1.0, low=0.0, high=100.0, doc="coefficient c")
-    level: float = scaled("q", default=1.0, typical=0.2, low=-4.0, high=4.0, doc="level l", absolute=True)
-    starts = tuple({"coefficient": 1.0, "level": level} for level in (0.3, 1.0, 1.6))
-
-    def rate(self, m: Namespace, level: Number) -> Number:
-        """Return −c·max(s − l, 0)."""
-        return -self.coefficient * m.maximum(level - self.level, 0.0)
+Leak = RateTerm.named(
+    "leak",
+    equation="−c·s in the rate of s",
+    coefficient=scaled_size("r/q", typical=0.05, low=0.0, high=5.0, doc="coefficient c"),
+    rate=lambda e, m, s: -e.coefficient * s,
+)
+GrowingLeak = RateTerm.named(
+    "growing_leak",
+    equation="−c·s·|s| in the rate of s",
+    coefficient=scaled_size("r/q^2", typical=0.05, low=0.0, high=5.0, doc="coefficient c"),
+    rate=lambda e, m, s: -e.coefficient * s * m.sqrt(s * s),
+)
+Overflow = RateTerm.named(  # loss above a limit
+    "overflow",
+    equation="−c·max(s − l, 0) in the rate of s",
+    coefficient=scaled_size("r/q", typical=1.0, low=0.0, high=100.0, doc="coefficient c"),
+    level=scaled("q", default=1.0, typical=0.2, low=-4.0, high=4.0, doc="level l", absolute=True),
+    starts=tuple({"coefficient": 1.0, "level": level} for level in (0.3, 1.0, 1.6)),
+    rate=lambda e, m, s: -e.coefficient * m.maximum(s - e.level, 0.0),
+)
 
 
 INPUT_TERMS = (InputBias, InputGain, DeadBand, Saturation, SquareLaw, RateLimit, Play, InputLag, SecondOrderLag)
@@ -403,3 +320,65 @@ def sensor_errors(
         value = parameter(neutral, unit=unit, bounds=bounds, neutral=neutral, typical=typical, doc=doc)
         of = {"output": output.name, "outputs": (output.name,), "value": value}
         yield base.named(f"{kind}_at_{output.name}", **of)
+
+
+# Groups of terms with similar effects in many logs, each with an experiment that distinguishes them.
+
+
+ALIKE: tuple[tuple[frozenset[str], str], ...] = (
+    (
+        frozenset({"delay", "lag", "second_order_lag", "rate_limit", "latency"}),
+        "steps of each input in several sizes, with five times as many rows: a delay responds late, a lag at once, "
+        "and a rate limit takes longer for a larger step; in a linear plant, an input and a sensor are distinguished "
+        "only by a second sensor or a measurement of the input behind the lag",
+    ),
+    (
+        frozenset({"dead_band", "play", "coulomb", "stribeck"}),
+        "slow ramps of each input through zero and back, and again with a reversal halfway: a dead band has no memory, "
+        "play delays the response only at reversals, and friction prevents motion up to a threshold",
+    ),
+    (
+        frozenset({"gain", "scale", "saturation", "square_law", "offset", "bias", "drift"}),
+        "steps of each input in three sizes and both directions, with pauses at zero at the beginning and the end",
+    ),
+    (
+        frozenset({"coulomb", "stribeck", "viscous", "quadratic_drag"}),
+        "constant speeds in both directions, from creeping to the fastest, each followed by coasting to rest",
+    ),
+    (
+        frozenset({"cubic_spring", "cogging", "offset"}),
+        "slow motion over the whole travel, up and down, several times",
+    ),
+    (
+        frozenset({"cubic_spring", "gap"}),
+        "slow loads in both directions, from a hundredth of the largest to the largest deflection",
+    ),
+    (
+        frozenset({"leak", "growing_leak", "overflow", "bias", "drift"}),
+        "fill slowly to the top and drain to the bottom, each followed by a long pause",
+    ),
+)
+
+
+# kind of term → kind that it equals at some values; an overflow at level 0 equals a leak if the level is never negative
+SPECIAL_CASES = {"coulomb": "stribeck", "leak": "overflow"}
+
+
+def contains(rich: str, simple: str) -> bool:
+    """Return True if the term `rich` equals the term `simple` at the same place for some parameter values.
+
+    Names have the form `kind_at_place`.
+    """
+    (kind, _, place), (other, _, other_place) = rich.partition("_at_"), simple.partition("_at_")
+    return place == other_place and SPECIAL_CASES.get(other) == kind
+
+
+def experiments_for(names: Iterable[str]) -> dict[frozenset[str], str]:
+    """Return groups of similar terms → experiment that distinguishes them.
+
+    Args:
+        names: Names of all terms and sensor errors, `kind_at_place`.
+    """
+    every = [*names]
+    rows = ((frozenset(n for n in every if n.partition("_at_")[0] in kinds), text) for kinds, text in ALIKE)
+    return {row: text for row, text in rows if len(row) > 1}

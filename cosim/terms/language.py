@@ -6,6 +6,7 @@ import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
+from functools import partial
 from typing import Any, ClassVar, dataclass_transform
 
 from cosim.core.units import unit_product
@@ -127,7 +128,7 @@ class Term(Effect):
     """A term of the general catalogue, before or after binding to a place; each subclass becomes a dataclass.
 
     Attributes:
-        kind: First part of the name, `kind_at_place`.
+        kind: First part of the name, `kind_at_place`; by default the name before binding.
         place: Place of a bound term.
         least: Parameter → lower limit, as a multiple of the smallest velocity that an integration step resolves.
     """
@@ -138,6 +139,8 @@ class Term(Effect):
 
     def __init_subclass__(cls) -> None:
         super().__init_subclass__()
+        if not hasattr(cls, "kind") and "name" in vars(cls):
+            cls.kind = cls.name
         dataclass(frozen=True, kw_only=True)(cls)
 
 
@@ -220,6 +223,9 @@ def scaled(
     """
     declaration = Parameter("", default, unit, doc, (low, high), neutral, typical)
     return field(default=default, metadata={"parameter": declaration, ABSOLUTE: absolute})
+
+
+scaled_size = partial(scaled, neutral=0.0)  # of a parameter that changes nothing at 0
 
 
 def bind(kind: type[Any], place: Place) -> type[Any]:

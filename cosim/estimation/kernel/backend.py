@@ -24,7 +24,7 @@ from cosim.isolation.watch import Watch
 from cosim.model.model import Model
 from cosim.model.symbolic.symbols import OfNumbersOnly
 from cosim.probing.prober import SLOW
-from cosim.terms.fmu_model import FmuModel
+from cosim.terms.code import FmuModel
 
 _kernels: dict[tuple[Any, ...], Kernel] = {}
 

@@ -29,7 +29,7 @@ from cosim.model.quantities import Quantity, parameters_of
 from cosim.model.symbolic.functions import Body
 from cosim.model.symbolic.languages import C
 from cosim.model.symbolic.symbols import SymbolicModel, number_guard
-from cosim.terms.fmu_model import FmuModel
+from cosim.terms.code import FmuModel
 from cosim.terms.language import Force, RateTerm
 
 Generated = tuple[Layout, str]  # layout, and C source of a filter

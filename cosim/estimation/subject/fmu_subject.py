@@ -37,10 +37,8 @@ from cosim.model.traits import Traits
 from cosim.probing.fmu_structure import StartValue, Structure
 from cosim.residuals.drive import MODULES, DriveApart
 from cosim.residuals.windows import Replay, start_parameters
-from cosim.terms.alike import experiments_for
-from cosim.terms.catalogue import bound_terms, delay_of, sensor_errors
-from cosim.terms.code import term_code
-from cosim.terms.fmu_model import Dependencies, FmuModel, fmu_model
+from cosim.terms.catalogue import bound_terms, delay_of, experiments_for, sensor_errors
+from cosim.terms.code import Dependencies, FmuModel, fmu_model, term_code
 from cosim.terms.language import Direction, Force, Opposite, Place, with_place
 
 SUBSTEPS = 8  # steps of co-simulation between rows, for forces that follow the outputs

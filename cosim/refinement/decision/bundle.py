@@ -4,17 +4,21 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import combinations
 
 import numpy as np
-from scipy.special import expit, logsumexp, ndtr
+from scipy import optimize
+from scipy.special import expit, logit, logsumexp, ndtr
 
 from cosim.core.arrays import Array, NamedValues, Rows
+from cosim.core.errors import FmuError, SimulationError
 from cosim.core.linear_algebra import least_squares
+from cosim.core.text import counted, join_names, plain
 from cosim.estimation.data import count_unscored, lagged_table
 from cosim.estimation.fit import Fit, fit, fit_for_held_out, inverse, slopes, with_flat_directions
+from cosim.estimation.kernel.kernel import Data
 from cosim.estimation.parallel import in_parallel, raise_if_cancelled
 from cosim.estimation.posing import halve_log
 from cosim.estimation.problem import Problem, Scored
@@ -26,8 +30,10 @@ from cosim.estimation.subject.candidates import (
     spread_of_base,
     values_of_special_case,
 )
-from cosim.refinement.decision.equivalence import act_alike
 from cosim.refinement.decision.posterior import (
+    CERTAIN,
+    EQUIVALENT,
+    MISFIT,
     MIXTURE,
     POSSIBLE,
     TRIAL_TOLERANCE,
@@ -40,12 +46,13 @@ from cosim.refinement.decision.posterior import (
     log_prior,
     posterior,
 )
-from cosim.refinement.proof.measure import PARTS
 from cosim.refinement.search.fits import SCREEN_ITERATIONS, Hypothesis, Search
+from cosim.refinement.search.missing import MOST_ROWS
 from cosim.refinement.search.unnamed import Leftover
 from cosim.residuals.residual_statistics import remaining_excess
-from cosim.terms.alike import contains
+from cosim.terms.catalogue import contains
 
+PARTS = 8  # parts of a free run, each counted as one replay
 COMPARED = 5  # classes of which equivalences are sought
 
 
@@ -107,6 +114,11 @@ def prior_of(search: Search, h: Hypothesis, f: Free) -> Parameter:
     return Parameter(f.name, part, value, centre, f.size, is_size=f.neutral is not None, low=low, high=f.high)
 
 
+def sizes_of(search: Search, h: Hypothesis, c: Candidate) -> list[Parameter]:
+    """Return the sizes of a part with their priors."""
+    return [p for p in (prior_of(search, h, f) for f in c.free) if p.is_size]
+
+
 def families(candidates: Sequence[Candidate]) -> dict[str, str]:
     """Return rich candidate → its special case; terms of an FMU have it at the same place."""
     found = {}
@@ -166,7 +178,7 @@ def beside_unnamed_terms(search: Search, h: Hypothesis, together: Fit, kappa: fl
     odds = log_prior(len(h.candidates), count) - log_prior(len(h.candidates) - 1, count)
     found = {}
     for c in h.candidates:
-        sizes = [p for p in (prior_of(search, h, f) for f in c.free) if p.is_size]
+        sizes = sizes_of(search, h, c)
         places = [names.index(p.name) for p in sizes]
         away = np.array([together.values[p.name] - p.centre for p in sizes])
         block, widths = covariance[np.ix_(places, places)], np.array([p.width for p in sizes])
@@ -331,6 +343,12 @@ def fit_without(search: Search, problem: Problem, h: Hypothesis, log: int) -> Fi
     return search.cross_fits[key]
 
 
+def fits_without_each_log(search: Search, h: Hypothesis) -> list[Fit]:
+    """Return the fits of a hypothesis to all logs except one each; that to a single log."""
+    logs = range(len(search.problem.logs))
+    return [h.fit] if len(logs) == 1 else [fit_without(search, search.problem, h, k) for k in logs]
+
+
 def held_out_errors(search: Search, h: Hypothesis | None, given: Fit) -> Array:
     """Return ln of the open-loop RMSE of each log, mean over the outputs, by fits to the other logs.
 
@@ -443,3 +461,177 @@ def _variance_with_logs(f: Fit, fits: Sequence[Fit], name: str) -> float:
     expected = max(variance * n / (n - 1), sum(max(0.0, other.sigma(name) ** 2 - variance) for other in fits))
     moved = sum((other.values[name] - f.values[name]) ** 2 for other in fits)
     return variance * moved / expected if expected > 0.0 else 0.0
+
+
+# Hypotheses that act alike for every input, so that no experiment can separate them.
+#
+# A settable damping of an FMU and the viscous term of the catalogue at the same velocity are one thing with two
+# names. Both are simulated along random inputs, at the estimated size and enlarged. The parameters of one hypothesis,
+# and the base parameters within their tolerances, adapt to the predictions of the other. They act alike if nothing is
+# left.
+
+
+ENLARGED = max(MIXTURE)  # factor on the ranges of inputs, and least factor on the sizes of effects
+
+
+def act_alike(search: Search, one: Hypothesis, other: Hypothesis) -> bool:
+    """Return True if two hypotheses predict the same for inputs and sizes beyond those of the logs.
+
+    The hypothesis with fewer parameters adapts, because one with more could imitate the other.
+    """
+    problem = search.problem
+    if not problem.late.keys().isdisjoint(one.parameters + other.parameters):
+        return False
+    truth, adapted = sorted((one, other), key=lambda h: -len(h.parameters))
+    free = [f for c in truth.candidates if c.kind != "parameter" for f in c.free if f.neutral is not None]
+    distances = ((f, abs(truth.fit.values[f.name] - problem.values[f.name])) for f in free)
+    usual = min((f.size / distance for f, distance in distances if distance), default=ENLARGED)
+    return all(_is_imitated(search, truth, adapted, times) for times in (1.0, max(ENLARGED, usual)))
+
+
+def _is_imitated(search: Search, truth: Hypothesis, adapted: Hypothesis, times: float) -> bool:
+    """Return True if a hypothesis can adapt to the predictions of another one, both with enlarged effects.
+
+    Base parameters adapt within one tolerance beyond those of the fit.
+    """
+    problem = search.problem
+    given = {**truth.fit.values, **{n: problem.values[n] for n in truth.parameters}}
+    sigma = np.exp(0.5 * problem.plain.sensors)
+    for both_signs in (True, False):  # an FMU may fail with inputs of a sign that it never gets
+        data = _exciting(problem, min(times, ENLARGED), both_signs=both_signs)
+        wanted = _outputs(problem, data, given | _enlarged(truth, problem, times))
+        without = _outputs(problem, data, given)
+        if np.isfinite([wanted, without]).all():
+            break
+    scale = EQUIVALENT * float(np.linalg.norm((wanted - without) / sigma)) * sigma
+    if not (np.isfinite(scale).all() and scale.any()):
+        return False
+    start, free = given | _enlarged(adapted, problem, times), search.free(adapted.candidates)
+    names, begin = [f.name for f in free], np.array([start[f.name] for f in free])
+    most = np.array([WIDTHS * f.prior[1] if f.prior else np.inf for f in free])
+    low, high = (np.array([getattr(f, limit) for f in free]) for limit in ("low", "high"))
+    low, high = np.maximum(low, np.minimum(begin, high) - most), np.minimum(high, np.maximum(begin, low) + most)
+
+    def residuals(theta: Array) -> Array:
+        errors = (_outputs(problem, data, start | dict(zip(names, theta.tolist(), strict=True))) - wanted) / scale
+        return np.nan_to_num(errors.ravel(), nan=1.0 / EQUIVALENT**2)
+
+    sizes = [f.size for f in free]
+    done = optimize.least_squares(
+        residuals, np.clip(begin, low, high), bounds=(low, high), x_scale=sizes, ftol=EQUIVALENT
+    )
+    return bool(np.linalg.norm(done.fun) < 1.0)
+
+
+def _enlarged(h: Hypothesis, problem: Problem, times: float) -> dict[str, float]:
+    """Return the parameters of the candidates with enlarged effects, within their limits; shapes stay."""
+    values = {}
+    for c in h.candidates:
+        for f in c.free:
+            value, given = h.fit.values[f.name], problem.values[f.name]
+            if c.kind == "parameter" or f.neutral is not None:
+                further = given + times * (value - given)
+                keeps_sign = value * given <= 0.0 or further * given > 0.0
+                value = further if keeps_sign else given * (value / given) ** times
+            values[f.name] = min(max(value, f.low), f.high)
+    return values
+
+
+def _exciting(problem: Problem, times: float, *, both_signs: bool) -> Data:
+    """Return a log with levels of random duration over the ranges of the inputs.
+
+    Args:
+        times: Factor on the ranges.
+        both_signs: Let inputs with one sign have the other one, too, since a threshold at zero shows there only.
+    """
+    first = problem.logs[0].rows(0, MOST_ROWS)
+    rng, rows = np.random.default_rng(0), len(first.u)
+    u = np.empty_like(first.u)
+    for k in range(u.shape[1]):
+        columns = [d.u[:, k] for d in problem.logs]
+        low, high = min(c.min() for c in columns), max(c.max() for c in columns)
+        middle, half = 0.5 * (low + high), 0.5 * times * (high - low) or 0.5 * abs(high) or 1.0
+        if both_signs and abs(middle) > half:
+            middle, half = 0.0, abs(middle) + half
+        holds = rng.geometric(1.0 / np.sqrt(rows), rows)
+        u[:, k] = np.repeat(middle + half * rng.uniform(-1.0, 1.0, rows), holds)[:rows]
+    return replace(first, u=u, late=None)
+
+
+def _outputs(problem: Problem, data: Data, values: NamedValues) -> Array:
+    """Return noise-free readings from the start of the first log, shape (rows, outputs); NaN if the FMU fails."""
+    lags = problem.in_rows(problem.lagging, values, 0)
+    try:
+        run = problem.simulate(values, 0, data=data)
+    except (FmuError, SimulationError):
+        return np.full(data.y.shape, np.nan)
+    return lagged_table(run.outputs, np.array([lags.get(k, 0.0) for k in range(data.y.shape[1])]))
+
+
+# Comparison of held and interpolated inputs between rows, and of inputs taken earlier, by their likelihood.
+#
+# With even prior odds, another way is told if its probability is that of a claimed part, and its gain is no chance
+# over blocks of time.
+
+
+@dataclass(frozen=True)
+class OtherInputs:
+    """Log-likelihood gain of inputs taken another way, with a warning if they are clearly likelier."""
+
+    gain: float
+    warning: str = ""
+
+
+def between_rows(problem: Problem, base: Hypothesis) -> OtherInputs:
+    """Refit the recalibrated model with every input held instead of interpolated between rows, or vice versa."""
+    ramped, names = problem.settings.interpolated, problem.layout.inputs
+    flipped = frozenset(names) - ramped
+    logs = [replace(data, interpolated=flipped) for data in problem.logs]
+    other = replace(problem, logs=logs, settings=replace(problem.settings, interpolated=flipped))
+    gain, clearly = _gain_of(problem, base, other)
+    if not clearly:
+        return OtherInputs(gain)
+    ways = [("interpolated", "held") if name in ramped else ("held", "interpolated") for name in names]
+    setting = f"{{{', '.join(f'{name}: {other}' for name, (_, other) in zip(names, ways, strict=True))}}}"
+    setting = ways[0][1] if len(set(ways)) == 1 else setting
+    inputs = join_names([f"{name} is taken as {way}" for name, (way, _) in zip(names, ways, strict=True)])
+    warning = f"between rows {inputs}; the other way {clearly}: if the rig commands its inputs that way, "
+    return OtherInputs(gain, f"{warning}write `inputs: {setting}` in the study")
+
+
+def late_input(problem: Problem, best: Hypothesis) -> OtherInputs | None:
+    """Return the input that is recorded late, as behind a filter of its own; None without one.
+
+    No candidate takes an input earlier than recorded. The best hypothesis is refitted with each input earlier, by one
+    row and by twice as many as long as that is likelier.
+    """
+    late: OtherInputs | None = None
+    shortest, step = min(len(data.u) for data in problem.logs), problem.logs[0].step
+    for column, name in enumerate(problem.layout.inputs):
+        rows = 1
+        while rows < shortest and any(np.ptp(data.u[:, column]) for data in problem.logs):
+            logs = []
+            for data in problem.logs:
+                u = data.u.copy()
+                u[:-rows, column], u[-rows:, column] = u[rows:, column].copy(), u[-1, column]
+                logs.append(replace(data, u=u))
+            gain, clearly = _gain_of(problem, best, replace(problem, logs=logs))
+            if not clearly or (late is not None and gain <= late.gain):
+                break
+            warning = (
+                f"{name} taken {counted(rows, 'row')} earlier than recorded {clearly}: its column may lag, as behind a "
+                "filter or a sensor of its own, which no candidate describes; log the input before the filter, or "
+                f"move its column {plain(rows * step)} s earlier and refine again"
+            )
+            late, rows = OtherInputs(gain, warning), 2 * rows
+    return late
+
+
+def _gain_of(problem: Problem, h: Hypothesis, other: Problem) -> tuple[float, str]:
+    """Return the gain of a hypothesis by a refit to other inputs, and the gain in words if it is no chance, else ""."""
+    # Unknown inputs start large enough to move, because inputs that compensated the wrong choice converge slowly.
+    refit = fit(other, h.fit.free, h.fit.values, other.plain)
+    gain, steady = h.fit.objective - refit.objective, steadiness(problem, refit, h.fit, other)
+    if gain <= float(logit(CERTAIN)) or float(ndtr(-steady)) >= MISFIT:
+        return gain, ""
+    return gain, f"raises the log-likelihood of the logs by {plain(gain)}, {plain(steady, 2)} times its scatter"

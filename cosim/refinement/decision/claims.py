@@ -25,11 +25,11 @@ from cosim.refinement.decision.bundle import (
     chance_of,
     drifts,
     fit_given_model,
-    fit_without,
+    fits_without_each_log,
     held_out_errors,
     misfit_of,
     noise_gains,
-    prior_of,
+    sizes_of,
     unknown_input_gain,
     with_intervals,
 )
@@ -125,29 +125,11 @@ def text_of(parts: Names) -> str:
     return TOGETHER.join(sorted(parts)) or NO_EFFECT
 
 
-def experiment_for(subject: Subject, rivals: Sequence[Names]) -> str:
-    """Return the experiment that separates rivals; parts common to all of them need none."""
-    names = frozenset[str]().union(*rivals) - frozenset[str].intersection(*rivals)
-    experiments = [(len(row & names), text) for row, text in subject.told_apart_by.items()]
-    shared, text = max(experiments, default=(0, ""))
-    return text if shared > 1 else DEFAULT_EXPERIMENT
-
-
-def equivalent_groups(pairs: Sequence[tuple[Names, Names]]) -> list[list[str]]:
-    """Return groups of names that act alike, without what both sets contain."""
-    groups: dict[str, list[str]] = {}
-    for one, other in pairs:
-        first, second = text_of(one - other), text_of(other - one)
-        groups.setdefault(first, [first]).append(second)
-    return list(groups.values())
-
-
 def sentence(
     c: Claims,
     subject: Subject,
     risen: Mapping[str, tuple[float, float]],
     remaining: NamedValues,
-    inputs: str,
     *,
     is_written: bool,
 ) -> str:
@@ -156,7 +138,6 @@ def sentence(
     Args:
         risen: Channel → error before and after, if it rises significantly on sealed logs.
         remaining: Channel → share of the squared error above the noise floor that remains on sealed logs.
-        inputs: Line of a study that takes inputs between rows the other way, if that is clearly likelier.
         is_written: Whether files of the delivered subject are written.
     """
     name: Literal["refined", "nearest"] = "nearest" if c.claimed is None else "refined"
@@ -164,8 +145,8 @@ def sentence(
     if not is_written:
         file, nearest = f"the {name} object", "The nearest object"
     answer, *details = filter(None, _answer_texts(c, subject))
-    texts = answer, _rise_text(risen, subject, file), *details, *_remaining_texts(c, remaining, file)
-    return " ".join(filter(None, (*texts, *_remark_texts(c, inputs, nearest))))
+    texts = answer, _rise_text(risen, subject, file), *details, *_remark_texts(c, remaining, file, nearest)
+    return " ".join(filter(None, texts))
 
 
 def _answer_texts(c: Claims, subject: Subject) -> Iterator[str]:
@@ -238,9 +219,7 @@ def _estimate_text(best: Hypothesis, f: Free, subject: Subject) -> str:
         if region[0] <= f.low:
             return f"{name} at most {high}"
         return f"{name} at least {low}" if region[1] >= f.high else f"{name} between {low} and {high}"
-    decimals = 1 - math.floor(math.log10(half)) if 0.0 < half < math.inf else 0
-    width = f"{half:.{decimals}f}" if 0 < decimals < 7 else f"{half:.2g}"
-    return f"{name} = {rounded(value, half)} ± {width} {unit}".rstrip()
+    return f"{name} = {rounded(value, half)} ± {plain(half, 2)} {unit}".rstrip()
 
 
 def rounded(value: float, half: float) -> str:
@@ -311,12 +290,12 @@ def _dependence_text(c: Claims) -> str:
     return f"follows {signal}{ways.get(shape.kind, f', most near {place} (width {width})')}{by}"
 
 
-def _remaining_texts(c: Claims, remaining: NamedValues, file: str) -> Iterator[str]:
-    """Yield sentences on the error that a claim or the nearest model leaves."""
+def _remark_texts(c: Claims, remaining: NamedValues, file: str, nearest: str) -> Iterator[str]:
+    """Yield sentences on the error that a claim or the nearest model leaves, and further remarks."""
     misfit = c.decision.misfit
     if c.decision.disputed and c.name != "unexplained":
-        names = join_names(sorted(c.decision.disputed))
-        yield f"Not claimed, since the model also lacks something without a name: {names}."
+        disputed = join_names(sorted(c.decision.disputed))
+        yield f"Not claimed, since the model also lacks something without a name: {disputed}."
     is_lacking = misfit.probability < MISFIT or not c.residual["signals"]
     if c.claimed is not None and is_lacking and (text := _misfit_text(c)):
         yield f"Something remains beside this: {text}."
@@ -331,12 +310,6 @@ def _remaining_texts(c: Claims, remaining: NamedValues, file: str) -> Iterator[s
             who = "The most probable of these" if c.name == "ambiguous" else "The claim"
         removes = percent(1.0 - share) if share < 1.0 else "nothing"
         yield f"{who} removes {removes} of the given model's squared error above the noise floor on sealed logs."
-
-
-def _remark_texts(c: Claims, inputs: str, nearest: str) -> Iterator[str]:
-    """Yield sentences that follow the verdict."""
-    if inputs and c.name == "unexplained":
-        yield f"Inputs between rows may be the reason: with {inputs} these logs are likelier."
     for names in c.equivalent:
         yield f"{' or '.join(names)}: these {'two' if len(names) == 2 else len(names)} act alike for every input."
     for (rich, simple), probability in c.decision.not_excluded.items():
@@ -424,11 +397,9 @@ def claims_of(study: Study, search: Search, progress: Progress) -> Claims:
 
     logs, unfitted = study.logs, fit_given_model(search.problem, base.fit)
     given = variant_of(search, subject, unfitted)
-    # a single log has no others
-    fits = [best.fit if len(logs) == 1 else fit_without(search, search.problem, best, k) for k in range(len(logs))]
     errors = {
         "before": predicted_errors([given] * len(logs), search.problem, logs),
-        "after": predicted_errors([refined(f) for f in fits], search.problem, logs),
+        "after": predicted_errors([*map(refined, fits_without_each_log(search, best))], search.problem, logs),
     }
     quiet = replace(refined(best.fit), noise=log_noise(best.fit.noise, search.free_noise))
     floor = noise_floor(quiet, search.problem, logs, np.random.default_rng(FLOOR_SEED))
@@ -452,7 +423,15 @@ def claims_of(study: Study, search: Search, progress: Progress) -> Claims:
         most = float(np.mean(ladder[0][1]))
         better = {h.key: h for h, error in ladder if h is not None and float(np.mean(error)) <= most}
         nearest = next((better[parts] for parts in decision.classes if parts in better), better.get(frozenset()))
-    rivals = tuple(decision.rivals)
+    experiment, rivals = "", tuple(decision.rivals)
+    if rivals:  # parts common to all of them need none
+        names = frozenset[str]().union(*rivals) - frozenset[str].intersection(*rivals)
+        shared, text = max(((len(row & names), text) for row, text in subject.told_apart_by.items()), default=(0, ""))
+        experiment = text if shared > 1 else DEFAULT_EXPERIMENT
+    alike: dict[str, list[str]] = {}  # without what both sets contain
+    for one, other in bundle.equivalent:
+        own, other_names = text_of(one - other), text_of(other - one)
+        alike.setdefault(own, [own]).append(other_names)
     return Claims(
         bundle=bundle,
         decision=decision,
@@ -460,8 +439,8 @@ def claims_of(study: Study, search: Search, progress: Progress) -> Claims:
         claimed=claimed,
         nearest=nearest,
         tried=tried,
-        experiment=experiment_for(subject, rivals) if rivals else "",
-        equivalent=equivalent_groups(bundle.equivalent),
+        experiment=experiment,
+        equivalent=[*alike.values()],
         residual=residual,
         moves=moves,
         hidden=[name for name in search.hidden if name not in decision.claimed],
@@ -496,7 +475,7 @@ def _unsure(search: Search, h: Hypothesis, families: Mapping[str, str]) -> Itera
         ends = [(h.fit.values[f.name] - h.fit.values[f.above], h.fit.sigma(f.name, f.above)) for f in above]
         if above and all(difference < NORMAL_95 * sigma for difference, sigma in ends):
             yield c.name
-        sizes = [p for p in (prior_of(search, h, f) for f in c.free) if p.is_size]
+        sizes = sizes_of(search, h, c)
         intervals = [h.fit.interval(p.name) for p in sizes]
         if sizes and all(low <= p.centre <= high for p, (low, high) in zip(sizes, intervals, strict=True)):
             yield c.name

@@ -13,18 +13,21 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import chain, pairwise
+from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import BaseModel, Field
 from scipy.special import stdtr
 
-from cosim.core.arrays import Array, NamedValues, Rows
+from cosim.core.arrays import Array, Flags, NamedValues, Rows
 from cosim.core.errors import InputError, SimulationError
 from cosim.core.linear_algebra import square_roots
 from cosim.core.text import plain
+from cosim.credibility.bands import LEAST_ROWS, Coverage, Track, band_horizons, bands_of, coverage_of, track_of
+from cosim.credibility.record import Correlations, Credibility, ParameterRecord
 from cosim.estimation.data import past_reading, replayed
-from cosim.estimation.fit import Fit, expected_values, group_values
+from cosim.estimation.fit import Fit, expected_values, group_values, inverse
 from cosim.estimation.kernel.kernel import MEMORY as LASTS
 from cosim.estimation.kernel.kernel import Begin, simulate_all
 from cosim.estimation.posing import with_likely_starts, with_logs
@@ -33,13 +36,15 @@ from cosim.estimation.subject.candidates import own
 from cosim.estimation.subject.interface import Replayer, Start, Subject, Workplace
 from cosim.logs.log import Log
 from cosim.model.namespaces import arrays
+from cosim.refinement.decision.bundle import PARTS, fits_without_each_log
 from cosim.refinement.search.fits import Hypothesis, Search
+from cosim.residuals.drive import drive_in
+from cosim.residuals.log_region import log_records, region_of_logs, rows_inside
 from cosim.residuals.residual_statistics import FREE_RUN, pool_errors, remaining_excess
-from cosim.residuals.windows import Replay, window_rows
+from cosim.residuals.windows import SKIPPED, Replay, window_rows
 
 FLOOR_SEED = 20121
 DRAWS = 20
-PARTS = 8  # parts of a free run, each counted as one replay
 CHANCE = 0.01  # probability of a false alarm for a rise on any channel
 EQUAL = 1e-9  # largest difference of fast replays from those of the delivered object, relative to max(1, largest value)
 
@@ -121,7 +126,7 @@ def replay_logs(
     played: dict[float, ReplayedLogs] = {judged: [], **{horizon: [] for horizon in horizons}}
     for index, log in enumerate(logs):
         values = problem.of_log(variant.values, index)
-        begun = {horizon: _Starts(variant, problem, log, index, horizon) for horizon in played}
+        begun = {horizon: LogReplays(variant, problem, log, index, horizon) for horizon in played}
         starts = {horizon: each.starts() for horizon, each in begun.items()}
         results = replayer.replays(log, problem.logs[index], values, starts)
         for horizon in played:
@@ -141,8 +146,8 @@ def rmse(evidence: ReplayedLogs) -> dict[str, float]:
     return pool_errors(replay.errors(log) for log, replay in evidence)
 
 
-class _Starts:
-    """Starts of the replays of a log over a horizon, each filtered from past data.
+class LogReplays:
+    """Replays of a log over a horizon by the kernel, and their starts, each filtered from past data.
 
     A fit that trusts the equations has a filter that hardly follows the readings; replays within a log begin where one
     that does follow them has arrived. A free run begins with the log.
@@ -151,8 +156,9 @@ class _Starts:
         first: Rows of the log where a replay starts; `rows`: the same in equal steps.
     """
 
-    def __init__(self, variant: Variant, problem: Problem, log: Log, index: int, horizon: float) -> None:
+    def __init__(self, variant: Variant, problem: Problem, log: Log, index: int, horizon: float | None = None) -> None:
         self.variant, self.problem, self.log, self.index = variant, problem, log, index
+        self.horizon = horizon = variant.subject.horizon if horizon is None else horizon
         self.data = problem.data(variant.values, index)
         self.first = [0] if horizon == FREE_RUN else window_rows(log, horizon)
         self.rows: list[int] = log.grid[self.first].tolist()
@@ -204,6 +210,82 @@ class _Starts:
                 outputs |= {n: outputs[n] - np.asarray(readings[n] - clean[n]) for n in read}
         return replace(log, outputs=outputs)
 
+    @cached_property
+    def gains(self) -> Array:
+        """Return the gain of each output's sensor in each row."""
+        every_row = np.arange(len(self.data.u))
+        gains = dict.fromkeys(self.problem.layout.outputs, np.ones(len(every_row)))
+        for sensor in self.sensors(every_row):
+            if sensor.is_straight():
+                gains |= {n: gains[n] * _line(sensor)[1] for n in sensor.affected() if n in gains}
+        return np.column_stack(list(gains.values()))
+
+    @cached_property
+    def predicted(self) -> Array:
+        """Return the outputs of the replays, NaN elsewhere."""
+        starts = {k: self.problem.begin_replay(self.filtered, k) for k in self.rows}
+        return self._simulate(self.variant.values, starts)
+
+    def errors(self) -> dict[str, Array]:
+        """Return channel → corrected measurement − model."""
+        return dict(zip(self.problem.layout.outputs, ((self.data.y - self.predicted) / self.gains).T, strict=True))
+
+    def random_errors(self, rng: np.random.Generator) -> dict[str, Array]:
+        """Return the errors against a simulation with random noise and random deviations of the starts."""
+        problem, noise, data, rows = self.problem, self.variant.noise, self.data, self.rows
+        errors = rng.standard_normal(data.y.shape) * np.sqrt(problem.variances(noise, self.index))
+        if problem.layout.is_free_run:
+            errors += self._random_deviations(rng)
+        else:
+            layout, starts = problem.layout, self.filtered.states.copy()
+            if self.filtered.covariances is not None:
+                roots = square_roots(self.filtered.covariances[rows])
+                random = rng.standard_normal((len(rows), len(layout.stochastic), 1))
+                starts[np.ix_(rows, list(layout.stochastic))] += (roots @ random)[..., 0]
+            noisy = len(layout.noise_places)
+            deviation = np.exp(0.5 * noise.power)  # Replays know nothing of the unknown inputs.
+            starts[np.ix_(rows, layout.noise_places)] = rng.standard_normal((len(rows), noisy)) * deviation
+            density = problem.densities(noise)[list(layout.noisy)]
+            kicks = np.zeros((len(data.u), len(layout.states)))
+            kicks[:, layout.noise_places] = rng.standard_normal((len(data.u), noisy)) * np.sqrt(density * data.step)
+            memory = {LASTS: math.exp(noise.memory)}
+            with np.errstate(invalid="ignore"):  # where both diverge
+                errors += self._simulate({**self.variant.values, **memory}, starts, kicks) - self.predicted
+        errors = np.where(np.isnan(data.y), np.nan, errors) / self.gains
+        return dict(zip(problem.layout.outputs, errors.T, strict=True))
+
+    def _random_deviations(self, rng: np.random.Generator) -> Array:
+        """Return random deviations of the outputs of a free run, driven by the fitted unknown inputs."""
+        noise, data, kernel = self.variant.noise, self.data, self.problem.kernel
+        propagation = kernel.responses(data, self.problem.x0[self.index])[1]  # type: ignore[attr-defined]
+        fades = math.exp(-data.step / math.exp(noise.memory))
+        inputs = rng.standard_normal(data.y.shape) * np.exp(0.5 * noise.power)
+        deviations = np.zeros((len(inputs) + 1, inputs.shape[1]))  # after the row before the first
+        for k in range(1, len(inputs)):
+            both = np.concatenate([deviations[k], deviations[k - 1]])
+            deviations[k + 1] = propagation @ both + data.step * inputs[k - 1]
+            inputs[k] = fades * inputs[k - 1] + math.sqrt(1.0 - fades**2) * inputs[k]
+        return deviations[1:]
+
+    def _simulate(self, values: NamedValues, starts: Mapping[int, Array] | Array, kicks: Array | None = None) -> Array:
+        """Return outputs of simulations from given states, infinite where they diverge, NaN elsewhere."""
+        problem, data, horizon = self.problem, self.data, self.horizon
+        length = len(data.u) if horizon == FREE_RUN else round(horizon / data.step)
+        p, outputs = problem.parameters(values, self.index), np.full(data.y.shape, np.nan)
+        parts = {k: data.rows(0, min(k + length, len(data.u) - 1) + 1) for k in self.rows}
+        begins: list[Begin] = [(part, p, starts[k], self.filtered.memory[k], kicks, k) for k, part in parts.items()]
+        for (k, part), run in zip(parts.items(), simulate_all(problem.kernel, begins), strict=True):
+            end = len(part.u) - 1
+            read = run.outputs[k:]
+            if part.late is not None:  # by the age of each reading in rows
+                read = read - np.nan_to_num(part.late[k:]) * np.diff(read, axis=0, prepend=read[:1])
+            outputs[k + 1 : end + 1] = np.where(np.isnan(read[1:]), np.inf, read[1:])
+        rows = np.arange(len(outputs), dtype=np.float64)
+        for j, lag in enumerate(data.lags if data.lags is not None else ()):
+            if lag:
+                outputs[:, j] = replayed(rows, outputs[:, j], float(lag), data.y[:, j])
+        return outputs
+
 
 def _line(sensor: Any) -> tuple[Any, Any]:
     """Return the reading at zero and the gain of a sensor with a linear error."""
@@ -218,7 +300,7 @@ def predicted_errors(variants: Sequence[Variant], problem: Problem, logs: Sequen
         variants: One for each log.
     """
     errors = [
-        KernelReplays(variant, begin_replays(variant, problem, logs), log, k).errors()
+        LogReplays(variant, begin_replays(variant, problem, logs), log, k).errors()
         for k, (variant, log) in enumerate(zip(variants, logs, strict=True))
     ]
     diverged = {n for of in errors for n, e in of.items() if np.isinf(e).any()}
@@ -250,7 +332,7 @@ def noise_floor(variant: Variant, problem: Problem, logs: Sequence[Log], rng: np
     problem = begin_replays(variant, problem, logs)
     draws: list[list[dict[str, Array]]] = [[] for _ in range(-(-DRAWS // len(logs)))]
     for index, log in enumerate(logs):
-        replays = KernelReplays(variant, problem, log, index)
+        replays = LogReplays(variant, problem, log, index)
         for draw in draws:
             draw.append(replays.random_errors(rng))
     each = [*map(pool_errors, draws)]
@@ -277,87 +359,6 @@ def final_log_parameters(variant: Variant, problem: Problem, logs: Sequence[Log]
         for name, place in problem.layout.constants.items():
             ends[own(name, origin.group)] = float(last[place])
     return ends
-
-
-class KernelReplays(_Starts):
-    """Kernel replays of a log over the model's horizon."""
-
-    def __init__(self, variant: Variant, problem: Problem, log: Log, index: int) -> None:
-        super().__init__(variant, problem, log, index, variant.subject.horizon)
-        every_row = np.arange(len(self.data.u))
-        gains = dict.fromkeys(problem.layout.outputs, np.ones(len(every_row)))
-        for sensor in self.sensors(every_row):
-            if sensor.is_straight():
-                gains |= {n: gains[n] * _line(sensor)[1] for n in sensor.affected() if n in gains}
-        self.gains = np.column_stack(list(gains.values()))
-
-    @cached_property
-    def predicted(self) -> Array:
-        """Return the outputs of the replays, NaN elsewhere."""
-        starts = {k: self.problem.begin_replay(self.filtered, k) for k in self.rows}
-        return self._simulate(self.variant.values, starts)
-
-    def errors(self) -> dict[str, Array]:
-        """Return channel → corrected measurement − model."""
-        return self._by_channel(self.data.y - self.predicted)
-
-    def _by_channel(self, errors: Array) -> dict[str, Array]:
-        return dict(zip(self.problem.layout.outputs, (errors / self.gains).T, strict=True))
-
-    def random_errors(self, rng: np.random.Generator) -> dict[str, Array]:
-        """Return the errors against a simulation with random noise and random deviations of the starts."""
-        problem, noise, data, rows = self.problem, self.variant.noise, self.data, self.rows
-        errors = rng.standard_normal(data.y.shape) * np.sqrt(problem.variances(noise, self.index))
-        if problem.layout.is_free_run:
-            errors += self._random_deviations(rng)
-        else:
-            layout, starts = problem.layout, self.filtered.states.copy()
-            if self.filtered.covariances is not None:
-                roots = square_roots(self.filtered.covariances[rows])
-                random = rng.standard_normal((len(rows), len(layout.stochastic), 1))
-                starts[np.ix_(rows, list(layout.stochastic))] += (roots @ random)[..., 0]
-            noisy = len(layout.noise_places)
-            deviation = np.exp(0.5 * noise.power)  # Replays know nothing of the unknown inputs.
-            starts[np.ix_(rows, layout.noise_places)] = rng.standard_normal((len(rows), noisy)) * deviation
-            density = problem.densities(noise)[list(layout.noisy)]
-            kicks = np.zeros((len(data.u), len(layout.states)))
-            kicks[:, layout.noise_places] = rng.standard_normal((len(data.u), noisy)) * np.sqrt(density * data.step)
-            memory = {LASTS: math.exp(noise.memory)}
-            with np.errstate(invalid="ignore"):  # where both diverge
-                errors += self._simulate({**self.variant.values, **memory}, starts, kicks) - self.predicted
-        return self._by_channel(np.where(np.isnan(data.y), np.nan, errors))
-
-    def _random_deviations(self, rng: np.random.Generator) -> Array:
-        """Return random deviations of the outputs of a free run, driven by the fitted unknown inputs."""
-        noise, data, kernel = self.variant.noise, self.data, self.problem.kernel
-        propagation = kernel.responses(data, self.problem.x0[self.index])[1]  # type: ignore[attr-defined]
-        fades = math.exp(-data.step / math.exp(noise.memory))
-        inputs = rng.standard_normal(data.y.shape) * np.exp(0.5 * noise.power)
-        deviations = np.zeros((len(inputs) + 1, inputs.shape[1]))  # after the row before the first
-        for k in range(1, len(inputs)):
-            both = np.concatenate([deviations[k], deviations[k - 1]])
-            deviations[k + 1] = propagation @ both + data.step * inputs[k - 1]
-            inputs[k] = fades * inputs[k - 1] + math.sqrt(1.0 - fades**2) * inputs[k]
-        return deviations[1:]
-
-    def _simulate(self, values: NamedValues, starts: Mapping[int, Array] | Array, kicks: Array | None = None) -> Array:
-        """Return outputs of simulations from given states, infinite where they diverge, NaN elsewhere."""
-        problem, data, horizon = self.problem, self.data, self.variant.subject.horizon
-        length = len(data.u) if horizon == FREE_RUN else round(horizon / data.step)
-        p, outputs = problem.parameters(values, self.index), np.full(data.y.shape, np.nan)
-        parts = {k: data.rows(0, min(k + length, len(data.u) - 1) + 1) for k in self.rows}
-        begins: list[Begin] = [(part, p, starts[k], self.filtered.memory[k], kicks, k) for k, part in parts.items()]
-        for (k, part), run in zip(parts.items(), simulate_all(problem.kernel, begins), strict=True):
-            end = len(part.u) - 1
-            read = run.outputs[k:]
-            if part.late is not None:  # by the age of each reading in rows
-                read = read - np.nan_to_num(part.late[k:]) * np.diff(read, axis=0, prepend=read[:1])
-            outputs[k + 1 : end + 1] = np.where(np.isnan(read[1:]), np.inf, read[1:])
-        rows = np.arange(len(outputs), dtype=np.float64)
-        for j, lag in enumerate(data.lags if data.lags is not None else ()):
-            if lag:
-                outputs[:, j] = replayed(rows, outputs[:, j], float(lag), data.y[:, j])
-        return outputs
 
 
 def find_rises(before: ReplayedLogs, after: ReplayedLogs) -> dict[str, tuple[float, float]]:
@@ -479,3 +480,95 @@ def difference(one: Replay, other: Replay) -> float:
         apart = np.max(np.abs(values[rows] - others[rows]), initial=0.0)
         largest = max(largest, float(apart) / float(np.max(np.abs(others[rows]), initial=1.0)))
     return largest
+
+
+# The record of credibility of a refined FMU: held-out replays of the estimation logs, and the region of these logs.
+
+
+FIRST = 0.25  # of the horizon of a model, the first interval of a band
+
+
+def credibility_of(
+    search: Search,
+    h: Hypothesis | None,
+    variant: Variant,
+    replayed: Mapping[Part, ReplayedLogs],
+    sets: LogSets,
+    *,
+    place: Workplace,
+    fmu: Path,
+) -> tuple[Credibility, Coverage | None]:
+    """Return the record of a delivered FMU without its verdict, and the coverage of its bands on sealed logs.
+
+    Args:
+        h: Delivered hypothesis; None for the given model.
+        variant: The delivered model.
+        replayed: Replays of the delivered model over its horizon, by set of logs.
+    """
+    logs, sealed = sets["estimation"], sets.get("validation", ())
+    problem = search.problem
+    with drive_in(place.worker, logs[0], fmu, limits=place.limits) as driven:
+        region = region_of_logs(driven, replayed["estimation"])
+        inside = rows_inside(region, driven, replayed["validation"]) if sealed else []
+    without = [variant] * len(logs)
+    if h is not None:
+        without = [refined_variant(search, replace(h, fit=f)) for f in fits_without_each_log(search, h)]
+    longest, first = float(max(log.time[-1] - log.time[0] for log in logs)), variant.subject.horizon
+    free_run = {longest: FREE_RUN} if first == FREE_RUN or problem.layout.is_free_run else {}
+    horizons = free_run  # the end of each interval of the bands → horizon of its replays
+    if not problem.layout.is_free_run:  # else replays begin with a log only
+        first = FIRST * (longest / 10.0 if free_run else first)
+        first = max(first, LEAST_ROWS * max(log.step for log in logs))
+        durations = [float(log.time[-1] - log.time[0]) - SKIPPED for log in logs]
+        horizons = {h: h for h in band_horizons(durations, first)} | free_run
+    tracks = _tracks(without, problem, logs, horizons)
+    units = {q.name: q.unit for q in search.subject.outputs}
+    bands = bands_of(tracks, units, held_out=h is None or len(logs) > 1, free=bool(free_run))
+    coverage = None
+    if sealed and not bands.reason:
+        coverage = coverage_of(bands, _tracks([variant] * len(sealed), problem, sealed, horizons, inside))
+    parameters, correlations = dict[str, ParameterRecord](), Correlations()
+    if h is not None:
+        f, declared = h.fit, search.subject.declared
+        places = [k for k, p in enumerate(f.free) if not p.group]
+        names = [f.free[k].name for k in places]
+        parameters = {
+            n: ParameterRecord(value=float(f.values[n]), unit=declared[n].unit, ci95=f.interval(n)) for n in names
+        }
+        matrix = inverse(f.information)[np.ix_(places, places)]
+        roots = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
+        within = np.clip(matrix / np.outer(roots, roots), -1.0, 1.0)
+        correlations = Correlations(names=names, matrix=within.tolist())
+    record = Credibility(
+        command="cosim refine",
+        model=search.subject.title,
+        verdict="",
+        sentence="",
+        logs=log_records(logs),
+        sealed=log_records(sealed),
+        parameters=parameters,
+        correlations=correlations,
+        region=region,
+        bands=bands,
+    )
+    return record, coverage
+
+
+def _tracks(
+    variants: Sequence[Variant],
+    problem: Problem,
+    logs: Sequence[Log],
+    horizons: Mapping[float, float],
+    inside: Sequence[Flags] = (),
+) -> dict[float, list[Track]]:
+    """Return end of interval → track of each log, replayed by its own variant."""
+    tracks: dict[float, list[Track]] = {end: [] for end in horizons}
+    for k, (variant, log) in enumerate(zip(variants, logs, strict=True)):
+        begun = begin_replays(variant, problem, logs)
+        for end, horizon in horizons.items():
+            replays = LogReplays(variant, begun, log, k, horizon)
+            rows = np.arange(len(replays.data.u))
+            time: Array = log.time[0] + replays.data.step * rows
+            within = inside[k][np.minimum(np.searchsorted(log.grid, rows), log.rows - 1)] if inside else None
+            tracks[end].append(track_of(time, replays.rows, replays.errors(), inside=within, free=horizon == FREE_RUN))
+    return tracks

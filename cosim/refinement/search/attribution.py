@@ -20,14 +20,15 @@ from scipy.special import ndtri
 
 from cosim.estimation.fit import CONVERGED, NOISE_DIFFERENCE, Fit
 from cosim.estimation.parallel import in_parallel
-from cosim.estimation.posing import coarsen, erring_stamps, with_finer_steps, with_likely_starts
+from cosim.estimation.posing import coarsen, erring_stamps, with_equations_trusted, with_finer_steps, with_likely_starts
 from cosim.estimation.problem import Problem
 from cosim.estimation.screen import Choice, Promise, ScoreTest, Terms
 from cosim.estimation.subject.candidates import Candidate, values_of_special_case
 from cosim.estimation.subject.interface import Subject
-from cosim.refinement.decision.bundle import evidence, optima
+from cosim.refinement.decision.bundle import evidence, held_out_errors, noise_gains, optima, unknown_input_gain
 from cosim.refinement.decision.posterior import (
     CERTAIN,
+    CLEARLY,
     MISFIT,
     POSSIBLE,
     Names,
@@ -47,7 +48,7 @@ from cosim.refinement.search.fits import (
     best_hypothesis,
     key_of,
 )
-from cosim.refinement.search.periods import with_likely_periods
+from cosim.refinement.search.unnamed import with_likely_periods
 
 FITTED = 6  # sets fitted in each round, and most promising candidates from which sets are formed
 DONE = 1.0  # nats by which a round must improve the score
@@ -364,3 +365,36 @@ class Attributor(Search):
         promises = Choice(test, terms, (), self.problem.values).extensions(())
         named = {c.name: c for c in others}
         return [(named[name], promise) for name, promise in promises.items()]
+
+
+# Comparison of fits with free unknown inputs and fits with trusted equations.
+#
+# A free unknown input absorbs every one-step prediction error, for example an input that was not held between two
+# rows or an unmodelled fast mode. The parameters then fit the next row, and slow effects, visible over the model's
+# own horizon, have little weight. If the best hypothesis or the base model predicts clearly better without unknown
+# inputs, the search is repeated without them; what only that search finds was chosen on all logs, and says nothing on
+# the way. Its residual is not white: the cost of every candidate is scaled by the dispersion of the likelihood.
+# Likelihoods of the two ways have no common scale; predictions of logs left out have, and decide.
+
+
+def attribute(subject: Subject, problem: Problem, candidates: Sequence[Candidate], progress: Progress) -> Attributor:
+    """Return the search with or without unknown inputs.
+
+    Equations are trusted if open-loop predictions of logs left out become clearly better.
+    """
+
+    def error(search: Search, h: Hypothesis) -> float:
+        return float(np.mean(held_out_errors(search, h, h.fit)))
+
+    free = Attributor(subject, problem, candidates, progress).run()
+    if not any(gain > unknown_input_gain(problem) for gain in noise_gains(free.problem, free.best.fit)):
+        return free
+    progress("predicting with the equations trusted", 0.0)
+    given = {h.key: (h, error(free, h)) for h in (free.tried[frozenset()], free.best)}
+    trusted = with_equations_trusted(subject, problem)
+    search = Search(subject, coarsen(trusted), len(candidates), progress)
+    if all(error(search, search.hypothesis(h.candidates, h.fit)) > least - CLEARLY for h, least in given.values()):
+        return free
+    other = Attributor(subject, trusted, candidates, progress).run()
+    other.free_noise = free.best.fit.noise
+    return other if error(other, other.best) < given[free.best.key][1] - CLEARLY else free

@@ -13,10 +13,10 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations, product
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
+from scipy.optimize import minimize_scalar
 from scipy.special import logit
 
 from cosim.core.arrays import Array
@@ -27,13 +27,12 @@ from cosim.estimation.kernel.generate import KNOTS, LOCAL, PREFIX, RATE, READING
 from cosim.estimation.kernel.kernel import CONSTANT, DEVIATION, DISTURBANCE
 from cosim.estimation.parallel import in_parallel
 from cosim.estimation.problem import Problem
-from cosim.estimation.screen import ScoreTest
-from cosim.estimation.subject.candidates import Free
+from cosim.estimation.screen import SHARE, ScoreTest
+from cosim.estimation.subject.candidates import Candidate, Free
 from cosim.estimation.subject.interface import Subject
 from cosim.refinement.decision.posterior import CERTAIN, LITTLE, MISFIT, chance_of_gain
 from cosim.refinement.search.fits import SCREEN_ITERATIONS
 from cosim.refinement.search.missing import MissingInput, smooth_logs
-from cosim.refinement.search.periods import innovations_of_logs, spectrum_along
 
 
 @dataclass(frozen=True)
@@ -110,9 +109,7 @@ class Leftover:
 LINEAR = 1e-5, 1.0  # change of the innovations by a step, in standard deviations: above rounding, and linear
 
 
-def find_unnamed_terms(
-    problem: Problem, at: Fit, price: float, units: Mapping[str, str] = MappingProxyType({})
-) -> Leftover:
+def find_unnamed_terms(problem: Problem, at: Fit, price: float, units: Mapping[str, str]) -> Leftover:
     """Return unnamed terms in addition to a fit whose gain is no chance.
 
     Args:
@@ -143,8 +140,6 @@ def find_unnamed_terms(
         return rows, steps
 
     found = in_parallel(effects, terms)
-    rows_of = {u: rows for u, (rows, _) in zip(terms, found, strict=True)}
-    steps_of = {u: steps for u, (_, steps) in zip(terms, found, strict=True)}
 
     def is_chance(u: UnnamedTerm, gain: float) -> bool:
         return among * chance_of_gain(gain / problem.scatter, len(u.names)) > MISFIT
@@ -157,21 +152,21 @@ def find_unnamed_terms(
     chosen: list[UnnamedTerm] = []
     before, sum_before = list[Array](), 0.0
     while terms and len(chosen) < SLOTS:  # each local shape has a slot of the kernel
-        gains = [test.gain([*before, *rows_of[u]])[0] - sum_before for u in terms]
+        gains = [test.gain([*before, *rows])[0] - sum_before for rows, _ in found]
         k = likeliest(gains)[0]
-        u = terms[k]
+        u, (rows, steps) = terms[k], found[k]
         if is_chance(u, gains[k]):
             break
-        multiples = test.gain(rows_of[u])[1]
-        sizes = tuple(float(m * step) for m, step in zip(multiples, steps_of[u], strict=True))
-        before, sum_before = [*before, *rows_of[u]], sum_before + gains[k]
+        multiples = test.gain(rows)[1]
+        sizes = tuple(float(m * step) for m, step in zip(multiples, steps, strict=True))
+        before, sum_before = [*before, *rows], sum_before + gains[k]
         chosen.append(replace(u, gain=gains[k], sizes=sizes, slot=len(chosen) + 1))
     if not chosen:
         return Leftover()
     without = fit(problem, at.free, at.values, at.noise, iterations=SCREEN_ITERATIONS)
     while chosen:
-        sizes_of = {n: abs(size) or 1.0 for u in chosen for n, size in zip(u.names, u.sizes, strict=True)}
-        free = [*at.free, *(Free(name, -math.inf, math.inf, size) for name, size in sizes_of.items())]
+        scales = [(n, abs(size) or 1.0) for u in chosen for n, size in zip(u.names, u.sizes, strict=True)]
+        free = [*at.free, *(Free(name, -math.inf, math.inf, scale) for name, scale in scales)]
         settings = {name: value for u in chosen for name, value in u.settings.items()}
         # Terms start at zero, so the objective can only decrease.
         fitted = fit(problem, free, {**at.values, **settings}, at.noise, iterations=SCREEN_ITERATIONS)
@@ -197,7 +192,7 @@ def find_unnamed_terms(
         own = [(u.shape, u.sizes) for u in refitted if u.shape and (u.equation, u.signal) == where]
         like = law_of(own, signals, is_rate={*problem.layout.rates.values()}.issuperset(first.shape.of))
     logs = range(max(2, len(problem.logs)))
-    of_logs = [[terms[k] for k in likeliest([test.gain_without(rows_of[u], log) for u in terms])] for log in logs]
+    of_logs = [[terms[k] for k in likeliest([test.gain_without(rows, log) for rows, _ in found])] for log in logs]
     return Leftover(
         (replace(first, share=share, like=like), *refitted[1:]),
         fitted,
@@ -447,3 +442,119 @@ def law_of(terms: Sequence[tuple[Shape, Sequence[float]]], signals: Signals, *, 
         power = float(law @ law) * float(rest @ rest)
         shares[name] = max(shares.get(name, 0.0), float(law @ rest) ** 2 / power if power else 0.0)
     return " or ".join(n for n in sorted(shares, key=lambda n: -shares[n]) if shares[n] > 1.0 - LITTLE)
+
+
+# Likely periods of forces that repeat along a position, before a score test.
+#
+# A force that repeats many times over the travel promises nothing at another period, and no fit finds its own from
+# there. The innovations of the base fit, ordered by position, show the period as a line of their spectrum. Behind the
+# force they are late by the response of the machine, which both directions of motion shift to opposite sides, so that
+# each direction has a spectrum of its own. A score test of the strongest lines and of the usual periods decides, and
+# climbs from the best.
+
+
+RADIAN = 2.0 * math.pi  # standard deviations of a position in the shortest period: one radian of its phase
+LINES = 3  # strongest lines that a score test compares
+
+
+def with_likely_periods(
+    test: ScoreTest, candidates: Sequence[Candidate], known: Sequence[str]
+) -> tuple[list[Candidate], dict[str, float]]:
+    """Return the candidates and their periods, those that promise most; the test then uses them.
+
+    Args:
+        known: Names of candidates in the fit, which keep their periods.
+    """
+    chosen = [_with_period(test, c) if c.repeats and c.name not in known else c for c in candidates]
+    periods = {c.repeats[0]: test.values[c.repeats[0]] for c in chosen if c.repeats and c.name not in known}
+    return chosen, periods
+
+
+def _with_period(test: ScoreTest, c: Candidate) -> Candidate:
+    name, along = c.repeats
+    (period,) = (f for f in c.free if f.name == name)
+    sizes = [f for f in c.free if f.neutral is not None]
+    positions, sigma = _along(test, along)
+    low = min(max(period.low, RADIAN * sigma), period.high)
+    travel = float(np.ptp(np.concatenate(positions)))
+    if not 0.0 < travel < math.inf:
+        return c
+
+    def gain(value: float) -> float:
+        start = {name: value - test.values[name]}
+        return test.gain([test.row(start | {f.name: SHARE * f.size}) for f in sizes])[0]
+
+    def at(cycles: float, value: float) -> float:
+        """Return the period with some more cycles over the travel."""
+        return min(max(1.0 / (1.0 / value + cycles / travel), low), period.high)
+
+    tried = [*(start[name] for start in c.starts), *_lines(test, positions, low, period.high)]
+    near = tried[int(np.argmax(in_parallel(gain, tried)))]
+    climb = minimize_scalar(
+        lambda cycles: -gain(at(cycles, near)), bounds=(-1.0, 1.0), method="bounded", options={"xatol": DIFFERENCE}
+    )
+    best = test.values[name] = at(float(climb.x), near)
+    size = best**2 / (RADIAN * travel)  # moves the phase over the travel by 1
+    free = tuple(replace(f, low=low, size=size) if f.name == name else f for f in c.free)
+    return replace(c, free=free, among=max(1, round(travel / low)), starts=({**c.starts[0], name: best},))
+
+
+def _along(test: ScoreTest, name: str) -> tuple[list[Array], float]:
+    """Return the positions in all rows of each log, and their standard deviation.
+
+    It is that of the sensor, or of the filtered state if larger. Along a finer force, the filter does not know the
+    phase, and its slopes only stand for process noise.
+    """
+    problem, layout = test.problem, test.problem.layout
+    places = [layout.states.index(n) for n in (name, DEVIATION + name) if n in layout.states]
+    runs = [problem.run(test.values, test.noise, k) for k in range(len(problem.logs))]
+    own = [k for k, place in enumerate(layout.stochastic) if place in places]
+    known = [run.covariances[:, own][:, :, own] for run in runs if run.covariances is not None]
+    variances = [0.0]
+    if known and own:
+        variances.append(float(np.median(np.concatenate(known).sum(axis=(1, 2)))))
+    if name in layout.outputs:
+        variances.append(float(np.exp(test.noise.sensors[layout.outputs.index(name)])))
+    return [run.states[:, places].sum(axis=1) for run in runs], math.sqrt(max(variances))
+
+
+def _lines(test: ScoreTest, positions: Sequence[Array], low: float, high: float) -> Iterator[float]:
+    """Yield the periods of the strongest lines in the spectrum of the innovations along the position."""
+    from scipy.signal import find_peaks  # only here: it takes half a second to import
+
+    frequency, height = spectrum_along([*zip(positions, innovations_of_logs(test), strict=True)], low)
+    height[frequency * high < 1.0] = 0.0
+    peaks, _ = find_peaks(height, distance=2 * 2)  # two cycles over the travel
+    strongest = sorted(peaks, key=lambda peak: -height[peak])[:LINES]
+    yield from (1.0 / float(frequency[peak]) for peak in strongest)
+
+
+def innovations_of_logs(test: ScoreTest) -> list[Array]:
+    """Return the normalised innovations of each log, shape (rows, outputs), beside what free parameters imitate."""
+    tables = []
+    parts = test.scored.of_each_log(test.residual[: len(test.scored.errors)])
+    for part, readings, log in zip(parts, test.problem.readings, test.problem.logs, strict=True):
+        tables.append(np.zeros(log.y.shape))
+        tables[-1].put(readings.places, part)
+    return tables
+
+
+def spectrum_along(tracks: Sequence[tuple[Array, Array]], low: float) -> tuple[Array, Array]:
+    """Return the frequencies and the spectrum of tables along positions, each direction of motion by itself.
+
+    Args:
+        tracks: Positions and table of each log, shapes (rows,) and (rows, columns).
+        low: Shortest period.
+    """
+    first = min(float(q.min()) for q, _ in tracks)
+    count = 2 + int(2.0 * (max(float(q.max()) for q, _ in tracks) - first) / low)  # two cells in the shortest period
+    cells = np.zeros((2, tracks[0][1].shape[1], count))
+    for q, table in tracks:
+        middle = (2.0 * (0.5 * (q[1:] + q[:-1]) - first) / low).astype(np.intp)
+        for direction, moving in enumerate((np.diff(q) > 0.0, np.diff(q) < 0.0)):
+            for column, values in enumerate(table[1:].T):
+                cells[direction, column] += np.bincount(middle[moving], values[moving], count)
+    height = np.sum(np.abs(np.fft.rfft(cells, 2 * count)) ** 2, axis=(0, 1))
+    frequency = np.arange(len(height)) / (count * low)
+    height[frequency * low > 1.0] = 0.0
+    return frequency, height
