@@ -136,8 +136,8 @@ def request_of(
         raise InputError.at(path, f"{message} and --column")
     yaml = YamlFile(path)
     # a study of `cosim refine` has further keys
-    keys = FitStudyFile.model_fields.keys() if kind == STUDY else yaml.root.keys()
-    content = yaml.validate(FitStudyFile, {k: v for k, v in yaml.root.items() if k in keys})
+    root = {k: v for k, v in yaml.root.items() if kind != STUDY or k in FitStudyFile.model_fields}
+    content = yaml.validate(FitStudyFile, root)
     if not content.model.lower().endswith(".fmu"):
         message = f"{content.model} is not an FMU; `cosim fit` needs an FMU, `cosim refine` estimates the parameters"
         refuse([yaml.fault(("model",), f"{message} of a model file")])

@@ -160,7 +160,7 @@ class Problem:
         short, count, finite = self._short(), len(self.layout.noisy), np.finfo(float)
         nothing = np.full(count, GRID[0])
 
-        def levels(marks: Sequence[float], **memory: float) -> Array:
+        def levels(marks: Sequence[float], **memory: Any) -> Array:
             def logarithms(power: Array) -> Array:
                 variances = short.score(self.values, replace(short.at(power), **memory)).variances
                 return np.asarray(np.log(np.abs(variances)))  # rounding may give a negative variance
