@@ -313,7 +313,7 @@ def profile(likelihood: Likelihood, spread: Covariance, j: int) -> ProfileEntry 
     def end(side: float) -> float | None:
         """Return the end of the interval below or above the estimate; None if the deviance stays small before it."""
         inside = centre
-        for step in 0.5 * half * 2.0 ** np.arange(DOUBLINGS):
+        for step in 0.6 * half * 2.0 ** np.arange(DOUBLINGS):
             outside = min(max(centre + side * float(step), float(likelihood.low[j])), float(likelihood.high[j]))
             if excess(outside) >= 0.0:
                 if not math.isfinite(excess(outside)):
