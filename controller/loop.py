@@ -125,7 +125,8 @@ class Loop(Stateful):
     """
 
     def __init__(self, settings: Settings, x_hat: Numbers, *seen: float, law: Law | None = None) -> None:
-        self.settings, start = settings, LawInput(*seen)
+        self.settings = settings
+        start = LawInput(*seen)  # type: ignore[arg-type]  # its first fields are floats
         self.law = StateFeedback(settings) if law is None else law
         self.estimator = self.law.estimator(settings, x_hat, start.fix)
         self.command = self.law.command(self.estimate, start)
@@ -139,7 +140,7 @@ class Loop(Stateful):
             measured: (ψ, ψ̇, a_x).
             seen: First fields of `LawInput`, x_ref and psi_ref at least.
         """
-        now = LawInput(*seen, psi=measured[0], started=True)
+        now = LawInput(*seen)._replace(psi=measured[0], started=True)  # type: ignore[arg-type]
         self.estimator.step(measured, (*self.law.duties, *self.command), now.fix, (now.x_meas, now.y_meas))
         self.command = self.law.command(self.estimate, now)
         return self.command

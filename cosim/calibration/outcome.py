@@ -232,9 +232,9 @@ def _warnings(record: Record, estimate: Estimate, parts: Sequence[Part]) -> Iter
     if parts and (risen := parts[-1].rises):
         yield f"on sealed logs the error of {join_names(risen)} increases by more than its scatter between parts"
     if estimate.covariance is not None and (names := estimate.above_noise()):
-        error = f"the error of {join_names(names)} is above the noise and not white"
+        above = f"the error of {join_names(names)} is above the noise and not white"
         cure = "`cosim refine` searches for effects that the FMU lacks"
-        yield f"{error}: no value of these parameters explains it. {cure}"
+        yield f"{above}: no value of these parameters explains it. {cure}"
 
 
 # -- record of credibility, from held-out replays of the logs of the estimate -----------------------

@@ -32,10 +32,6 @@ from cosim.residuals.drive import drive_in
 from cosim.residuals.windows import Replay, windows
 
 FILES = {"refined": REFINED, "nearest": NEAREST}
-OF_MODEL = (  # attributes that a subject takes from its model
-    *("title", "inputs", "outputs", "states", "horizon", "rate", "parameters", "calibrated", "sensors"),
-    *("sensor_variance", "start_variance", "excursion", "told_apart_by", "drawn_against"),
-)
 
 
 class ModelSubject(Subject):
@@ -50,12 +46,17 @@ class ModelSubject(Subject):
         model = loaded.model
         self.loaded, self.model = loaded, model
         self.fmu: Path | None = None
-        vars(self).update({name: getattr(model, name) for name in OF_MODEL})
-        self.source, self.display = loaded.source, DISPLAY
+        self.title, self.source, self.display = model.title, loaded.source, DISPLAY
+        self.inputs, self.outputs, self.states = model.inputs, model.outputs, model.states
+        self.horizon, self.rate = model.horizon, model.rate
+        self.parameters, self.calibrated, self.sensors = model.parameters, model.calibrated, model.sensors
         own = {p.name for p in model.parameters}
         self.candidate_parameters = {n: p for n, p in model.declared.items() if n not in own}
         self.values = {**neutral_values(model), **loaded.values}
+        self.sensor_variance, self.start_variance = model.sensor_variance, model.start_variance
         self.present = frozenset(e.name for e in model.awake)
+        self.excursion = model.excursion
+        self.told_apart_by, self.drawn_against = model.told_apart_by, model.drawn_against
         effects = (*shaping_effects(model.catalogue), *(kind for kind in model.sensors if kind.depends_on_past()))
         self.inestimable = frozenset(f"{e.name}.{p.name}" for e in effects for p in parameters_of(e))
 
