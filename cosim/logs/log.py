@@ -215,9 +215,9 @@ def read_log(
             return
         every = f"a log needs every input of the model: {name_list(into)}"
         for name in missing:
-            if column := similar.get(name):
-                message = f'"{column}" is not a signal of the model; did you mean "{name}", which is missing'
-                faults.note(line, cells[column], f"{message}? A{every[1:]}")
+            if other := similar.get(name):
+                message = f'"{other}" is not a signal of the model; did you mean "{name}", which is missing'
+                faults.note(line, cells[other], f"{message}? A{every[1:]}")
             else:
                 faults.note(line, 1, f'input "{name}" is missing; {every}; {cure}')
         if outputs and not missing and not any(name in table for name in outputs):
