@@ -215,9 +215,9 @@ def read_log(
             return
         every = f"a log needs every input of the model: {name_list(into)}"
         for name in missing:
-            if other := similar.get(name):
-                message = f'"{other}" is not a signal of the model; did you mean "{name}", which is missing'
-                faults.note(line, cells[other], f"{message}? A{every[1:]}")
+            if alike := similar.get(name):
+                message = f'"{alike}" is not a signal of the model; did you mean "{name}", which is missing'
+                faults.note(line, cells[alike], f"{message}? A{every[1:]}")
             else:
                 faults.note(line, 1, f'input "{name}" is missing; {every}; {cure}')
         if outputs and not missing and not any(name in table for name in outputs):
