@@ -88,6 +88,14 @@ def test_logs_are_read_as_people_have_them(tmp_path: Path, text: str | bytes, co
     assert len(log.assumed) == sum(f.kind == "assumed" for f in gate(log)) == count
 
 
+@pytest.mark.parametrize("number", ["1.234,5", "-1 234 567,5", "1'234.5", "1,234.5"])
+def test_numbers_with_a_separator_of_thousands_are_refused_with_their_place(tmp_path: Path, number: str) -> None:
+    (tmp_path / "a.csv").write_text(f"time;speed\n0;1\n0,1;{number}\n")
+    with pytest.raises(InputError) as refused:
+        cosim.check(tmp_path / "a.csv")
+    assert [(f.line, f.column) for f in refused.value.faults] == [(3, 2)]
+
+
 def test_a_sheet_of_excel_is_a_log_and_several_tables_are_refused(tmp_path: Path) -> None:
     openpyxl = pytest.importorskip("openpyxl")
     wanted, path, book = read(tmp_path / "plain.csv", PLAIN), tmp_path / "a.xlsx", openpyxl.Workbook()

@@ -22,6 +22,7 @@ from cosim.files.table import DECIMAL_COMMA, Column, Source, Table, number_of, s
 MOST_BYTES = 200_000_000  # size of a file [bytes]; files are read whole
 CHUNK = 1000  # rows written at a time
 PLAIN = 1e-4, 1e16  # `repr` writes numbers from the first to below the second without an exponent
+THOUSANDS = re.compile(r"\s*-?\d{1,3}([.,'’ ])\d{3}(\1\d{3})*(?!\1)[.,]\d+\s*")  # 1.234,5 and 1,234.5
 SEPARATORS = {";": "semicolons", "\t": "tabs", "|": "vertical bars", " ": "blanks"}
 
 
@@ -59,6 +60,11 @@ class Csv(Source):
         if header and not text and (columns := _numbers(content, line, headings, mark, decimal)) is not None:
             return Table(columns, range(line + 1, line + 1 + len(columns[0].values)), line, assumed=assumed)
         faults, by_column, lines = _texts(path, content, len(header), line, mark)
+        for place, cells in enumerate(by_column, 1):
+            found = next((k for k, cell in enumerate(cells) if THOUSANDS.fullmatch(cell)), None)
+            if found is not None and headings[place - 1][0] not in text:
+                message = f"{cells[found].strip()} has a separator of thousands; write numbers without one"
+                faults.append(Fault(path, lines[found], place, message))
         columns = [cells_of(*pair, c, pair[0] in text) for pair, c in zip(headings, by_column, strict=True)]
         return Table(columns, lines, line, faults, assumed)
 

@@ -61,6 +61,7 @@ from cosim.simulation.stopped_run import (
 from cosim.system.system import System, build_system
 
 VERB = "cosim run"
+MANY_VALUES = 10_000_000  # of CSV, above which a note offers Parquet
 COMPILED = "compile"  # key of a manifest: sources of FMUs may be compiled when the run goes on
 
 
@@ -178,6 +179,11 @@ def run(
             if permission.get():
                 record[COMPILED] = True
             prepared = _Prepared(file, place, system, rows_file, record, warnings)
+            count, part = file.scenario.steps + 1, system.recording
+            values = (count if part is None else len(part.rows(count))) * len(system.columns)
+            if values > MANY_VALUES and rows_file.endswith(".csv"):
+                cure = "--format parquet writes, reads and stores so many much faster than CSV"
+                tell(Note(f"the results have {values} values; {cure}"))
         if inputs:
             functions = InputFunctions(inputs)
             functions.check(prepared.system)
