@@ -60,11 +60,11 @@ class Csv(Source):
         if header and not text and (columns := _numbers(content, line, headings, mark, decimal)) is not None:
             return Table(columns, range(line + 1, line + 1 + len(columns[0].values)), line, assumed=assumed)
         faults, by_column, lines = _texts(path, content, len(header), line, mark)
-        for place, cells in enumerate(by_column, 1):
-            found = next((k for k, cell in enumerate(cells) if THOUSANDS.fullmatch(cell)), None)
-            if found is not None and headings[place - 1][0] not in text:
-                message = f"{cells[found].strip()} has a separator of thousands; write numbers without one"
-                faults.append(Fault(path, lines[found], place, message))
+        for place, ((name, _), column) in enumerate(zip(headings, by_column, strict=True), 1):
+            found = next((k for k, cell in enumerate(column) if THOUSANDS.fullmatch(cell)), None)
+            if found is not None and name not in text:
+                message = f"{column[found].strip()} has a separator of thousands; write numbers without one"
+                raise InputError([Fault(path, lines[found], place, message)])
         columns = [cells_of(*pair, c, pair[0] in text) for pair, c in zip(headings, by_column, strict=True)]
         return Table(columns, lines, line, faults, assumed)
 
