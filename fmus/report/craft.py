@@ -299,7 +299,8 @@ def make_view(crafts: Sequence[Craft], rows: Rows, charts: Charts) -> tuple[dict
 
 def _body(craft: Craft, rows: Rows, charts: Charts) -> dict[str, Any]:
     start: Mapping[str, Any] = craft.run.start(craft.name)
-    body: dict[str, Any] = {"limit": (craft.tilt_limit or 0.0) * DEGREES, "unit": "N"}
+    body: dict[str, Any] = {"estimate": None, "reference": None, "unit": "N"}
+    body["limit"] = (craft.tilt_limit or 0.0) * DEGREES
     for key, name, usual in (("arm", "arm", ARM), ("radius", "propeller_radius", RADIUS)):
         size = number(start.get(name), usual)
         body[key] = round(1000 * (size if 0 < size < 100 else usual))
