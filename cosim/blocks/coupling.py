@@ -161,9 +161,9 @@ class GaussSeidel(Algorithm):
                 if getattr(components[assumed], "feedthrough", None) is None:
                     notes.append(
                         Assumption(
-                            f"{assumed} does not declare which outputs depend directly on its inputs; cosim assumes "
-                            f"that none does, so {assumed} steps first. feedthrough: [...] of {assumed} names the "
-                            "inputs that an output follows at once, [] for none; order: [...] states the order instead"
+                            f"{assumed} does not declare its direct feedthrough; cosim assumes none, so {assumed} "
+                            f"steps first. To change this, list the inputs with direct feedthrough in `feedthrough` of "
+                            f"{assumed}, [] for none, or set `order`"
                         )
                     )
             direct -= removed

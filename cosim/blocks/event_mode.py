@@ -160,7 +160,7 @@ class EventInstance(Instance):
     """An FMU instance for FMI 3.0 co-simulation with event mode.
 
     Attributes:
-        may_return: Whether the FMU may return early from a step. An FMU with steps of one length may not.
+        may_return: Whether early return is allowed, which needs an FMU with variable communication step size.
         in_small_steps: Whether the FMU is asked to return after each of its own steps.
         stop: Interruption of the run that arrived during a step.
     """

@@ -36,14 +36,14 @@ FAILURES = {  # CVODE's error codes with remedies
 
 
 def solver(name: Solver | None, fmu: Any, symbol: Callable[[str], str], **settings: Any) -> Any:
-    """Return the named solver; by default CVODE, else solve_ivp.
+    """Return the named solver; without a name, CVODE, or solve_ivp on platforms for which FMPy has no CVODE.
 
-    solve_ivp replaces CVODE on platforms for which FMPy has none. Both have the same interface:
+    Both have the same interface:
 
     step(t, target): Integrate from t [s] towards the target; return whether a state event occurred, the direction in
-        which each indicator crossed zero (0 for none), and the time reached, just beyond the event. CVODE goes on to
-        the target or the event, except in its first step after a reset and with `single_steps`; solve_ivp returns
-        after each accepted step.
+        which each indicator crossed zero (0 for none), and the time reached, just beyond the event. CVODE returns at
+        the target or the event, but after one step if it was reset or `single_steps` is set; solve_ivp returns after
+        each accepted step.
     reset(t, longest): Restart from the states of the FMU; no step is longer than `longest` [s] until the next reset.
     is_first: Whether the next step is the first one after a reset.
     last_step: Length of the last accepted step [s].

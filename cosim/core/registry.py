@@ -96,7 +96,7 @@ def model_entry(name: str = BASE) -> ModelEntry:
     entry = load(MODELS, name) if name in names(MODELS) else None
     if not isinstance(entry, ModelEntry):
         raise InputError.at(
-            Path("model"), f'no model "{name}" is installed; name a model.yaml or FILE.py:Class of your own'
+            Path("model"), f'no model "{name}" is installed; give a model.yaml, or a class of your own as FILE.py:Class'
         )
     return entry
 

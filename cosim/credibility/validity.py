@@ -72,7 +72,7 @@ def validity_of(fmu: Path, time: Array, signals: NamedArrays) -> dict[str, Any]:
 
 
 def validity_sentence(name: str, entry: Validity) -> str:
-    """Return the sentence on a component, empty where only its problem is to be told."""
+    """Return a sentence on how long a component was in its region; "" without this share and a reason for that."""
     share = entry.get("share")
     if share is None:
         return f"{name}: no region to be valid in: {entry['reason']}" if entry.get("reason") else ""

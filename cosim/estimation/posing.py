@@ -172,12 +172,12 @@ def with_finer_steps(problem: Problem, values: NamedValues, noise: Noise) -> Pro
 
 
 def predictable_horizon(problem: Problem, horizon: float) -> float:
-    """Return the horizon [s], shortened if start errors of the given model grow exponentially and a hundredfold.
+    """Return the horizon [s], shortened if errors of start states grow exponentially and more than hundredfold.
 
-    On an unstable or chaotic plant, a small error of the start state grows exponentially. Predictions beyond that time
-    measure the start, not the model. The growth is measured on the logs: the given model is simulated from filtered
-    states and from states beside them. Errors count in units of each signal's standard deviation. Within the shorter
-    horizon, they grow tenfold in the median over starts and logs. A free run keeps its length.
+    On an unstable or chaotic plant, a small error of the start state grows exponentially. Later predictions measure the
+    start, not the model. The growth is measured on the logs: the given model is simulated from filtered states and
+    from slightly different ones. The shortened horizon is the time of tenfold growth, the median over starts and
+    logs, with errors in standard deviations of each signal. Free runs are not shortened.
     """
     layout, values, curves = problem.layout, problem.values, list[Array]()
     if layout.is_free_run or not layout.states:

@@ -109,8 +109,8 @@ class Excitation:
             beyond = [n for n, trial in self.rivals.items() if trial.excess(self.question.limits) > 1.0]
             cause = f" if {join_names(beyond)} is true" if beyond else ""
             warnings.append(
-                f"the outputs {far}{cause}, even with the smallest input tried; do not apply it to the machine before "
-                "a wider --limit or fewer rivals give an input within the limits"
+                f"no input within --limit was found: even with the smallest one, the outputs {far}{cause}. Do not use "
+                "this input on the machine. Widen --limit, or test fewer hypotheses"
             )
         if pairs := [f"{a} from {b}" for a, b in self.hardest_first if self.apart[a, b] < MIN_SEPARATION]:
             warnings.append(

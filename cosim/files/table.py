@@ -83,7 +83,7 @@ class Column:
 
 @dataclass(frozen=True)
 class Table:
-    """Signals of a file, by default time first.
+    """Columns read from a file; the first one is usually the time.
 
     Attributes:
         lines: Line of each row; empty in formats without lines.

@@ -225,7 +225,8 @@ def _differentiate(block: DifferentiableFmu, point: Point, step: float, directio
         if deviates.any():
             rows = ", ".join(compress([*(f"the derivative of {name}" for name in states), *outputs], deviates))
             notes.append(
-                f"differences with step {step:g} are used for {rows}: the FMU's own derivatives deviate from them"
+                f"the FMU's directional derivatives disagree with finite differences (step {step:g}) in these rows: "
+                f"{rows}. Finite differences are used there"
             )
             slopes = np.where(deviates[:, None], differences, slopes)
     return replace(point, states=after), slopes, rates, method, notes

@@ -29,7 +29,8 @@ ROWS = 1000  # first rows of a log in which the model's outputs are predicted
 def check_log(path: Path, checking: Checking) -> list[str]:
     """Return the findings on a log.
 
-    The log is compared with the named model; otherwise with the base model if an input matches, else with no model.
+    The log is compared with the model of `checking`. Without one, it is compared with the registered model `base` if it
+    has a column of one of its inputs, and is otherwise checked alone.
     """
     if checking.model is None and not is_model(BASE):
         return _findings_without_model(path, checking.columns)

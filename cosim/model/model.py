@@ -70,10 +70,10 @@ class Effect(Parametric):
         return all(isinstance(v := getattr(self, p.name), (int, float)) and v == p.neutral for p in switches)
 
     def remember(self, t: Number, start: Values) -> Values:
-        """Return the memory of the effect at the initial time `t` [s].
+        """Return the discrete states of the effect at the initial time `t` [s], by default their start values.
 
         Args:
-            start: Start values of the memory.
+            start: Start values of the discrete states.
         """
         return start
 

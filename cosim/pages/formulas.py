@@ -82,7 +82,7 @@ def evaluate(text: str, signals: Mapping[str, tuple[Recording, str]], name: str 
     notes: list[str] = []
 
     def refuse(reason: str) -> NoReturn:
-        cure = f"use + - * / **, numbers, letters of signals, and {', '.join(FUNCTIONS)}"
+        cure = f"allowed are + - * / **, numbers, the letter of each signal in the legend, and {', '.join(FUNCTIONS)}"
         raise InputError.at(Path("formula"), f"{text[:LONGEST]}: {reason}; {cure}")
 
     def value(node: ast.AST) -> Any:

@@ -43,7 +43,8 @@ def exchange_structure(prober: Prober, courses: Sequence[Course]) -> Structure:
     if len(states_of(prober.description)) != len(prober.description.derivatives):
         raise InputError.at(
             prober.path,
-            "does not declare the state of every derivative; use its co-simulation interface, or export it again",
+            "modelDescription.xml does not name the state of each derivative (attribute `derivative`); use the "
+            "co-simulation interface, or export the FMU with this attribute",
             FmuError.exit_code,
         )
     names = states, inputs, outputs = prober.fmu.names

@@ -94,7 +94,7 @@ def lay_out(path: Path, folder: Path, overrides: Sequence[str] = ()) -> tuple[Sc
 def _scenario(
     system: SspSystem, files: dict[str, Path], warnings: list[str], overrides: Set[str]
 ) -> tuple[dict[str, Any], dict[Location, Element]]:
-    """Return the scenario and the places of its parts."""
+    """Return the scenario as a mapping, and the SSD element from which each of its keys was read."""
     places: dict[Location, Element] = {}
     name_of = {path: name for name, path in files.items()}
     components: dict[str, Any] = {}

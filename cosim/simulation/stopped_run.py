@@ -49,8 +49,8 @@ OTHER_VERSION = (
     "version, or run the scenario again from its start"
 )
 ROWS_OF_ANOTHER_RUN = (
-    "its rows are not those of the checkpoint: a file was changed or removed; put it back, or run the scenario "
-    "again from its start"
+    "the recorded rows do not match the checkpoint: a file in this folder was changed or removed; restore the folder, "
+    "or run the scenario again from its start"
 )
 STOPPED_BEFORE_ROWS = "its run was stopped before its first row or checkpoint; run the scenario again from its start"
 

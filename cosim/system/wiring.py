@@ -279,7 +279,7 @@ def _transfers(
         elif text in ends[other]:
             building.note(where, f"{text} is one of the {other} of {name}; connect an output to an input")
         elif any(s.local and s.name == variable for s in _signals(component, side)):
-            building.note(where, f"{text} is recorded, but not an output of {name}; connect an output to an input")
+            building.note(where, f"{text} is a local variable of {name}, not an output; connect an output to an input")
         else:
             names = [end.partition(".")[2] for end in ends[side] if end.startswith(f"{name}.")]
             hint = did_you_mean(variable, names)

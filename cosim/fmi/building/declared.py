@@ -103,7 +103,7 @@ def make_model(kind: type[Model], source: ModelText) -> Model:
     refuse(trial.faults)
     model = kind()
     counts = Counter(port.name for port in model_ports(model))
-    cure = "inputs, outputs, parameters and start values (state_start) share their names; give each its own"
+    cure = "inputs, outputs, parameters and start values need different names; the start value of s is named s_start"
     refuse(source.fault(kind, "", f'{n} variables are called "{name}"; {cure}') for name, n in counts.items() if n > 1)
     return model
 

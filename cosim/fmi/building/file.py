@@ -191,7 +191,7 @@ def read_model(path: Path, readers: tuple[Path, ...] = ()) -> LoadedModel:
         try:
             other = refined_file(other)
             if not other.is_file():
-                reason = f"no such model file: {name}; name a model.yaml or the folder of a refine"
+                reason = f"no such model file: {name}; give a model.yaml or the folder of a refine"
                 raise InputError([yaml.fault(at, reason)])
             if other.resolve() in (here := (*readers, path.resolve())):
                 reason = f"{name} takes its parameters from this file, a cycle; remove one parameters_from"

@@ -107,7 +107,7 @@ def refined_variant(search: Search, h: Hypothesis) -> Variant:
 
 
 def begin_replays(variant: Variant, problem: Problem, logs: Sequence[Log]) -> Problem:
-    """Return a variant's fitting problem on other logs, of free runs with the variant's likely start states.
+    """Return the estimation problem of a variant for free runs over logs, with start states estimated for each log.
 
     The kernel of `problem` takes all parameters, including those of the variant.
     """

@@ -500,10 +500,10 @@ def _with_period(test: ScoreTest, c: Candidate) -> Candidate:
 
 
 def _along(test: ScoreTest, name: str) -> tuple[list[Array], float]:
-    """Return the positions in all rows of each log, and their standard deviation.
+    """Return the filtered position in the rows of each log, and its standard deviation.
 
-    It is that of the sensor, or of the filtered state if larger. Along a finer force, the filter does not know the
-    phase, and its slopes only stand for process noise.
+    The deviation is that of the sensor, or of the filtered state if that is larger. A periodic force of a shorter
+    period cannot be estimated.
     """
     problem, layout = test.problem, test.problem.layout
     places = [layout.states.index(n) for n in (name, DEVIATION + name) if n in layout.states]
