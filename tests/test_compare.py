@@ -102,7 +102,7 @@ def test_compare_exits_5_beyond_the_tolerance_alone_and_leaves_a_page(tmp_path: 
 def test_what_is_no_run_is_told_by_compare_and_report(tmp_path: Path) -> None:
     (tmp_path / "empty").mkdir()
     for name, text, words in (
-        ("empty", "", "empty: holds no rows: no results.csv"),
+        ("empty", "", "empty: this folder has no results.csv"),
         ("empty.csv", "", "is empty"),
         ("ragged.csv", "time,x\n0,0\n1\n", "ragged.csv:3:1: has 1 cell, the header 2"),
         ("hole.csv", "time,x\n0,0\n,1\n1,2\n", "hole.csv:3:1: "),
@@ -252,5 +252,5 @@ def test_results_of_other_versions_and_half_written_ones_are_compared_by_their_r
     assert sorted(labels) == ["cut)", "empty)", "new)"]
     page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
     assert "results/torn/results.csv:3:1: has 1 cell, the header 2" in page
-    for name, message in (("gone", "holds no rows"), ("torn", "has 1 cell, the header 2")):
+    for name, message in (("gone", "this folder has no"), ("torn", "has 1 cell, the header 2")):
         assert message in str(_invoke("new", name).exception)

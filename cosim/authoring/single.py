@@ -112,8 +112,9 @@ def simulate(
             first = begin if first is None else max(first, begin)
             source, end = csv, last if stop is None else stop
             if first > begin or end > last * (1 + SLACK):
-                text_ = f"{csv.name}: covers {begin:g} … {last:g} s, the run {first:g} … {end:g} s"
-                notes.append(Note(f"{text_}; after its end, its last values are kept"))
+                text_ = f"{csv.name} covers {begin:g} … {last:g} s, the run {first:g} … {end:g} s"
+                kept = f"; after {last:g} s, each input keeps its last value in the file" if end > last else ""
+                notes.append(Note(text_ + kept))
             steps = np.diff(time)
             steps = steps[steps > 0.0]  # Equal times mark a jump.
             if steps.size:  # rounded to the digits that the times contain

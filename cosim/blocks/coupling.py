@@ -223,7 +223,7 @@ class AlgorithmKey:
 
 
 def _sort(names: Iterable[T], ends: Iterable[tuple[T, T]]) -> tuple[T, ...]:
-    """Return names in the order of their connections; raise CycleError if there is none."""
+    """Return names sorted topologically, each source before its targets; raise CycleError for a cycle."""
     sorter: TopologicalSorter[T] = TopologicalSorter({name: set() for name in names})
     for source, target in ends:
         sorter.add(target, source)

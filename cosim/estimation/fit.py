@@ -361,7 +361,7 @@ def expected_values(f: Fit, besides: str = "") -> dict[str, tuple[float, float]]
 
 
 def _start_values(f: Fit, group: str) -> dict[str, float]:
-    """Return the expected values of a group with their spread, from all further groups."""
+    """Return the means and spreads of the parameters of one group, predicted from the other groups."""
     values = expected_values(f, group)
     return {key(n, group): v for n, pair in values.items() for key, v in zip((own, spread), pair, strict=True)}
 

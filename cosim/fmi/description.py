@@ -231,7 +231,10 @@ def library_of(folder: Path, description: Any, identifier: str) -> tuple[Path, s
         return libraries[0], f"its library is {libraries[0].name}, its modelIdentifier {identifier}"
     if libraries:
         names = ", ".join(p.name for p in libraries)
-        raise FmuError(f"none of its libraries has the name {library.name} required by its modelIdentifier: {names}")
+        raise FmuError(
+            f"its modelIdentifier requires the library {library.name}, but its folder has only {names}; rename the "
+            "right library, or export the FMU again"
+        )
     return None
 
 

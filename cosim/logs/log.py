@@ -354,11 +354,10 @@ def usual_step(time: Array) -> float:
 
 
 def slowness(step: float) -> float:
-    """Return a factor on the durations of checks for a log with the step `step` [s].
+    """Return the factor that scales the time windows of checks to the step of a log [s].
 
-    The factor is 1 for typical steps, larger for long steps and smaller for short ones. Otherwise durations such as
-    0.15 s or 1 s would contain too few rows, e.g. of a tank logged every 0.5 s, or exceed a log, e.g. of a converter
-    logged every 50 us.
+    The factor is 1 for typical steps, larger for long steps and smaller for short ones. Windows such as 0.15 s or 1 s
+    are too short for a tank logged every 0.5 s, and too long for a converter logged every 50 µs.
     """
     return min(1.0, step / FAST) if step < USUAL else max(1, math.ceil(step / USUAL - 0.1))
 

@@ -194,7 +194,7 @@ class Derivations:
             if signal not in self._definitions:
                 raise InputError.at(Path("name"), f"{name} is not a derived signal")
             if others := [n for (_, n), definition in self._definitions.items() if signal in definition.of.values()]:
-                raise InputError.at(Path("name"), f"{', '.join(others)} is derived from {name}; remove it first")
+                raise InputError.at(Path("name"), f"{', '.join(others)} uses {name}; remove {', '.join(others)} first")
             del self._definitions[signal], self._notes[signal]
             self._runs[number].rows.remove(name)
 

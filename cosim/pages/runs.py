@@ -238,7 +238,9 @@ def _places(
         refuse_folder(path, WANTED)
         raise InputError.at(path, NO_ROWS.format(status=status_in(path)))
     units, display = swept.record["units"], swept.record.get("display") or {}
-    notes.append(f"{name} is a sweep; {len(runs)} of its {counted(swept.record['runs'], 'run')} are shown, as sampled")
+    notes.append(
+        f"{name} is a sweep; {len(runs)} of its {counted(swept.record['runs'], 'run')} are shown, at the times kept"
+    )
     labels = {f"{name} run {number}": Recording({TIME: time, **signals}, units) for number, signals in runs.items()}
     return [RunPlace(n, n, path / TABLE, rows=rows, display=display) for n, rows in labels.items()]
 

@@ -299,7 +299,7 @@ def view_html(title: str, *, is_live: bool) -> str:
 
 
 def _arrays(read: Callable[..., list[Array]], curves: Sequence[Sequence[Any]]) -> Response:
-    """Return the arrays that a function reads of each curve, as doubles."""
+    """Return a response with the arrays that `read` returns of all curves, in a row, as little-endian doubles."""
     body = b"".join(np.ascontiguousarray(part, "<f8").tobytes() for curve in curves for part in read(*curve))
     return Response(body, media_type="application/octet-stream")
 

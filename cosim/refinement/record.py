@@ -397,7 +397,7 @@ def _effects(subject: Subject, claims: Claims) -> list[EffectEntry]:
 
 
 def _per_log(study: Study, f: Fit, ends: NamedValues) -> dict[str, PerLog]:
-    """Return the entry of every parameter per log."""
+    """Return the entries in refine.json of the parameters with one value per log."""
     declared, entries = study.subject.declared, {}
     for name in study.settings.per_log:
         unit, (mean, sd) = declared[name].unit, expected_values(f)[name]

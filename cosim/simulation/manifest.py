@@ -49,8 +49,8 @@ def check_pinned(file: ScenarioFile) -> None:
             faults.append(
                 file.fault(
                     ("components", name, key),
-                    f"{path} is not the {'FMU' if key == 'fmu' else 'file'} of this run: its SHA-256 differs; put "
-                    "that one back, or run the scenario",
+                    f"{path} is not the {'FMU' if key == 'fmu' else 'file'} of this run: its SHA-256 differs; "
+                    "restore the file, or run the scenario with the present one",
                 )
             )
     refuse(faults)

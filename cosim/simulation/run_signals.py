@@ -250,7 +250,9 @@ def read_ran(path: Path) -> RecordedRun:
             if kind is None or "results" not in kind.tables:
                 refuse_folder(path, WANTED)
             names = " or ".join(f"results{suffix}" for suffix in suffixes())
-            raise InputError.at(path, f"holds no rows{status_in(path)}: no {names}; give {WANTED}")
+            raise InputError.at(
+                path, f"this folder has no {names}{status_in(path)}; give another run, or a table of its rows"
+            )
         manifest = manifest_in(path)
         units: Any = manifest.get("units") or replay_record(path).get("units") or {}
         results = read_results(rows, units, manifest.get("beside", ()), words=manifest.get("texts", ()))

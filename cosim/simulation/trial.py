@@ -126,7 +126,9 @@ def _run_once(file: ScenarioFile, system: System, path: Path, worker: Worker) ->
         raise InputError([error.fault(path, path.resolve())]) from None
     except errors.DiskFull as error:
         raise InputError.at(
-            path, f"cannot be tried: {error.reason}; --no-load checks it without", FmuError.exit_code
+            path,
+            f"the trial step failed: {error.reason}; --no-load checks the file without loading its FMUs",
+            FmuError.exit_code,
         ) from None
     failure = stepped.failure
     if isinstance(failure, (Interrupted, errors.Signalled)):

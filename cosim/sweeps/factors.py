@@ -218,7 +218,7 @@ class Factors:
             return None
 
     def check_values(self, columns: Mapping[str, list[Any]]) -> None:
-        """Note faults and warnings of listed values of paths, and of the extreme drawn values."""
+        """Test the listed values of each path, and the extreme drawn values; note faults and warnings."""
         for factor in self.factors:
             name, way = factor.name, self.file.vary[factor.name].way
             component, _, variable = name.partition(".")

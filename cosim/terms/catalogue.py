@@ -289,7 +289,7 @@ def _fits(kind: type[Any], place: Place) -> bool:
 
 
 def delay_of(inputs: Sequence[Quantity], longest: float) -> type[Delay]:
-    """Return the delay of all inputs up to `longest`."""
+    """Return a term that delays all inputs by the same time, at most `longest` [s]."""
     memory = tuple(Quantity(q.name, q.unit, f"late {q.name}") for q in inputs)
     time = parameter(
         0.0, unit="s", bounds=(0.0, longest), neutral=0.0, typical=0.1 * longest, doc="delay T of all inputs"

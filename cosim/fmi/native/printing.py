@@ -123,10 +123,7 @@ class ModelPrinter:
         return str(srepr([parts, [self.place[name] for name in self.switches]]))
 
     def _functions(self) -> tuple[list[str], int, int, int]:
-        """Return the C functions and three numbers.
-
-        The numbers are those of kinks of derivatives and outputs, of all kinks, and of extracted calls.
-        """
+        """Return the C functions; the numbers of kinks of derivatives and outputs, of all kinks, of extracted calls."""
         indicators = []  # of kinks of each variant: of derivatives and outputs, and of command shaping without memory
         for trace in self.variants:
             moving = {*trace.s.state, *trace.s.command, trace.s.time}

@@ -155,11 +155,11 @@ def symbolic(
 
 
 def output_dependencies(model: Model) -> tuple[dict[str, tuple[str, ...]], dict[str, tuple[str, ...]]]:
-    """Return the dependencies of each output for any effects and Booleans.
+    """Return the dependencies of each output, those with any effect and any value of a Boolean parameter.
 
     Returns:
-        Inputs with direct feedthrough, in input order; parameters, start values and inputs that affect the initial
-        value.
+        Two mappings by output: inputs with direct feedthrough, in their order; parameters, start values and inputs that
+        affect its initial value.
     """
     flags, m = [p.name for p in model.parameters if isinstance(p.default, bool)], SymbolNamespace()
     variants = [symbolic(model, flag) for flag in (True, False)]

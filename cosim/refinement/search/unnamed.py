@@ -40,7 +40,7 @@ class UnnamedTerm:
     """A term outside the catalogue in the equation of a forced state.
 
     Attributes:
-        equation: Forced state, or `reading of` an output.
+        equation: State whose derivative has the shape, or `reading of` an output.
         signal: Basis such as `1` or `|velocity|`; for a local shape its signal.
         gain: Log-likelihood gain, predicted or fitted.
         sizes: Coefficients: one, or those of the bumps of a spline.
@@ -227,10 +227,10 @@ class Shape:
         equation: Forced state, or `reading of` an output.
         of: Signal of the shape, or two signals for their difference.
         kind: `bump`, `step`, `spline` or `wave`.
-        place: Centre, for a spline of its first bump; of a wave the zero of its phase.
-        width: Width of a bump at about half its height, of a step from end to end, of a spline from bump to bump, of a
-            wave its period.
-        times: Signals of the factor, as in `of`; may be empty.
+        place: Centre; of a spline, the centre of its first bump; of a wave, the point of zero phase.
+        width: Width of a bump at half its height, length of the transition of a step, distance between the bumps of a
+            spline, period of a wave.
+        times: Signals that multiply the shape; may be empty.
         unit: Unit of place and width.
     """
 
@@ -308,7 +308,7 @@ def signals_of(problem: Problem, missing: MissingInput) -> dict[str, Array]:
 
 
 def signal_units(subject: Subject) -> dict[str, str]:
-    """Return the unit of each signal: time, commands, states, outputs, and rates of both."""
+    """Return the unit of each signal: time, commands, states, outputs, and rates of states and outputs."""
     named = {q.name: q.unit for q in (*subject.outputs, *subject.states)}
     rates = {f"{RATE}{name}": unit_of_rate(unit) for name, unit in named.items()}
     return {"time": "s", **{f"command {q.name}": q.unit for q in subject.inputs}, **named, **rates}
