@@ -98,6 +98,8 @@ class Watch:
         progress: Function called with the number of rows.
         grace: Time [s] for a stopped job to end by itself, for a checkpoint.
         times: Wall time of components and calls, read while the job lasts.
+        computing: Whether limits of calls count the time in which the worker computes or sleeps, but not that in which
+            it waits for a processor, so that results do not depend on the load of the machine.
     """
 
     components: Sequence[str] = ()
@@ -109,6 +111,7 @@ class Watch:
     progress: Callable[[int], None] | None = None
     grace: float = 0.0
     times: ComponentTimes | None = None
+    computing: bool = False
 
 
 def fmi_calls(description: Any) -> Sequence[str]:
@@ -140,6 +143,15 @@ def _memory(pid: int, limit: float) -> int:
     return size
 
 
+def _processor_time(pid: int) -> tuple[float, str]:
+    """Return the processor time of a process [s], and its status."""
+    with suppress(psutil.Error):
+        process = psutil.Process(pid)
+        used = process.cpu_times()
+        return used.user + used.system, process.status()
+    return 0.0, psutil.STATUS_DEAD
+
+
 def how_ended(code: int) -> str:
     """Return a phrase for a return code."""
     if code < 0:
@@ -158,6 +170,7 @@ class Clock:
         self.since = self.last = time.monotonic()
         self.key: tuple[Any, ...] = ()
         self.rows = 0  # number of rows at the last check
+        self.used: float | None = None  # processor time of the worker at the first look [s]
 
     def look(self, pid: int) -> None:
         """Raise TimedOut or SimulationError for an exceeded limit."""
@@ -177,13 +190,22 @@ class Clock:
         self.last = now
         limit, name = (limits.loading, "load") if loading else (limits.step, "step")
         component, at, call = self.place()
-        if limit is not None and now - self.since > limit:
+        if watch.computing and self.used is None:
+            self.used = _processor_time(pid)[0]
+        if limit is not None and now - self.since > limit and not self._is_kept_waiting(pid, limit):
             reason = f"{call} takes longer than {limit:g} s (limits: {name}); raise this limit if the FMU is only slow"
             raise TimedOut(component, at, reason)
         if limits.total is not None and watch.spent[0] > limits.total:
             reason = f"{call} was stopped: the run takes longer than {limits.total:g} s in all (limits: total); raise "
             raise TimedOut(component, at, f"{reason}this limit or shorten the run")
         self.check_memory(pid)
+
+    def _is_kept_waiting(self, pid: int, limit: float) -> bool:
+        """Return whether a worker that would compute got a processor for less than `limit` [s]."""
+        if self.used is None:
+            return False
+        used, status = _processor_time(pid)
+        return status in (psutil.STATUS_RUNNING, psutil.STATUS_STOPPED) and used - self.used < limit
 
     def check_memory(self, pid: int) -> None:
         """Raise SimulationError if the processes are too large."""

@@ -386,7 +386,7 @@ class Prober(ExitStack):
 
     def call(self, job: Job, *arguments: Any) -> Any:
         """Return the result of a job in the worker."""
-        watch = Watch([self.path.name], [fmi_calls(self.description)], limits=self._limits)
+        watch = Watch([self.path.name], [fmi_calls(self.description)], limits=self._limits, computing=True)
         return self._worker.call(with_permission, permission.get(), job, *arguments, watch=watch)
 
 

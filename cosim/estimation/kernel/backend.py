@@ -116,7 +116,7 @@ class RemoteLibraryKernel:
         # An FMU that hung once often hangs at each value beyond a limit, for which a search must not wait each time.
         most = min(most, max(1.0, SLOW * self._longest)) if self._has_hung else most
         try:
-            watch = Watch((NAME,), limits=self.limits.model_copy(update={"load": most}))
+            watch = Watch((NAME,), limits=self.limits.model_copy(update={"load": most}), computing=True)
             remote = kernels.setdefault(self, Remote(worker, LibraryKernel, *self._recipe))
             results, spent = remote.call("call", method, passes, options, watch=watch)
             self._longest = max(self._longest, spent)

@@ -136,13 +136,20 @@ def optima(search: Search) -> list[Hypothesis]:
 
     A fit that is worse than that of a subset of its parts has stopped far from its optimum. An expansion there promises
     any gain.
+
+    Raises:
+        SimulationError: There is none, since no fit has a finite likelihood.
     """
     ended = [h for h in search.tried.values() if h.ended]
 
     def bound(h: Hypothesis) -> float:
         return min((o.fit.objective for o in ended if o.key < h.key), default=math.inf)
 
-    return [h for h in ended if h.fit.objective < bound(h) + 1.0]
+    found = [h for h in ended if h.fit.objective < bound(h) + 1.0]
+    if not found:
+        reason = "its simulations along the logs fail or diverge for every fitted model"
+        raise SimulationError(search.subject.title, 0.0, f"{reason}; narrow the bounds of its parameters")
+    return found
 
 
 def bundle_of(search: Search) -> Bundle:
