@@ -73,7 +73,7 @@ def test_the_notebook_runs(tmp_path: Path) -> None:
         "print([o.get('data', {}).get('text/plain', '') for c in nb.cells for o in c.get('outputs', [])][-1])"
     )
     done = run_python(code, tmp_path, PYTHONPATH=str(ROOT), PYDEVD_DISABLE_FILE_VALIDATION="1")
-    assert "1 of 5 signals" in done
+    assert "4 of 5 " in done  # signals that differ; the reference is the same
     assert len(done) < 1500  # a result shows itself in a few lines
 
 

@@ -119,7 +119,7 @@ def _quantile_row(c: Criterion, values: Array) -> Sequence[str]:
 
 
 def _worst(swept: Swept, table: Any) -> list[Mapping[str, Any]]:
-    """Return the worst runs by the hardest criterion, those that never meet it first."""
+    """Return the worst runs by the hardest criterion, first the runs that never meet this criterion."""
     criterion = hardest(swept.record)
     reached, runs = swept.criteria[criterion["name"]], table.column("run").to_pylist()
     completed = np.array(table.column("status").to_pylist()) == "ok"

@@ -244,7 +244,7 @@ def _rivals_text(c: Claims) -> str:
 
 
 def _unexplained_text(c: Claims) -> str:
-    """Return a sentence on the remaining error: its equation and the signal that it follows, or its size."""
+    """Return a sentence on the remaining error: the equation and the signal that the error follows, or the size."""
     over = c.decision.misfit.over_floor
     channel = max(over, key=lambda n: over[n], default="")
     if text := _misfit_text(c):
