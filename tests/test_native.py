@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
+import sys
 import zipfile
 from pathlib import Path
 from typing import Any
@@ -12,6 +14,7 @@ import pytest
 from fmpy.fmi1 import FMICallException
 from fmpy.validation import validate_fmu
 
+import cosim
 from controller.loop import Loop
 from controller.settings import Settings
 from cosim.core.errors import InputError
@@ -203,6 +206,14 @@ def test_a_native_fmu_is_valid_and_runs_without_a_tool(name: str, ways: int, nat
 def test_two_builds_are_the_same_bytes(native_plant: Path, tmp_path: Path) -> None:
     again, _ = build_native(tmp_path, "hovercraft")
     assert again.path.read_bytes() == native_plant.read_bytes()
+
+
+def test_a_package_that_is_reached_through_a_link_builds_models(tmp_path: Path) -> None:
+    (tmp_path / "link").symlink_to(Path(cosim.__file__).parents[1])
+    words = ["build", "--native", "--model", f"{PLANTS / 'tanks.py'}:Tanks", "--out", str(tmp_path)]
+    environment = os.environ | {"PYTHONPATH": str(tmp_path / "link")}
+    subprocess.run([sys.executable, "-P", "-m", "cosim", *words], env=environment, check=True)
+    assert validate_fmu(str(next(tmp_path.glob("*.fmu")))) == []
 
 
 # -- the C --------------------------------------------------------------------------------------

@@ -13,7 +13,7 @@ from cosim.model.model import Effect, Model, Values, overrides
 from cosim.model.namespaces import SymbolNamespace
 from cosim.model.quantities import parameters_of
 
-SYMBOLIC = Path(__file__).resolve().parent
+SYMBOLIC = Path(__file__).parent  # not resolved: code objects carry the path as it was imported
 EQUALITY = "cannot be evaluated on symbols; compare with <, <=, > or >= in m.where"
 REMAINDER = (
     "has jumps that a solver cannot detect; use m.where, for example m.where(angle > limit, angle - 2 * limit, angle)"
