@@ -180,7 +180,7 @@ def times_of(
             notes.append(
                 Note(f"the step is {fitting:g} s instead of {h:g} s ({why_step}), so that the run ends at {end:g} s")
             )
-            why_step = f"{count} to the end; instead of {h:g} s, {why_step}"
+            why_step = f"{count} steps to the end; instead of {h:g} s, {why_step}"
         h = fitting
     else:
         own = {n: required for n, required in own.items() if required > h * (1 + SLACK)}

@@ -117,7 +117,7 @@ def _notes(file: ScenarioFile, converted: Sequence[str]) -> Iterator[str]:
         yield Note("noise was not exported: SSP cannot store it")
     tolerances = [c.tolerance for c in scenario.components.values() if isinstance(c, FmuComponent)]
     if any(tolerance is not None for tolerance in (scenario.tolerance, *tolerances)):
-        yield Note("tolerance is left out: importers take that of each FMU's default experiment, or none")
+        yield Note("tolerance was not exported: importers use the tolerance of each FMU's default experiment, or none")
     if scenario.every_goal:
         yield Note("criteria were not exported: SSP cannot store them")
     if scenario.algorithm != IMPORTERS.name:
@@ -142,7 +142,9 @@ def _faults(file: ScenarioFile, system: System) -> Iterator[Fault]:
             continue
         if component.step is not None and component.step != scenario.step:
             text = "this component has its own step, but an SSP has one step for all"
-            yield file.fault((*where, "step"), f"{text}; set that of the scenario to {component.step:g}")
+            yield file.fault(
+                (*where, "step"), f"{text}; remove it, and set the step of the scenario to {component.step:g}"
+            )
         description = system.fmus[name][1]
         if description.fmiVersion.startswith("3"):
             yield file.fault((*where, "fmu"), "is FMI 3.0; SSP 1.0 and its importers support FMI 1.0 and 2.0")
@@ -205,7 +207,7 @@ def _source(file: ScenarioFile, name: str, component: ReferenceComponent | Playb
         fmu = build_source(name, signals, folder / f"{name}.fmu", file.scenario.step, file.scenario.duration)
     except (NoCompiler, CompilerFailed) as error:
         raise InputError(
-            [file.fault(("components", name), f"is exported as an FMU in C, but compilation fails: {error}")]
+            [file.fault(("components", name), f"cannot be exported, because its FMU in C does not compile: {error}")]
         ) from None
     return SspFmu(name, fmu, [SspConnector(n, "output", "Real", s.unit) for n, s in signals.items()])
 
@@ -216,7 +218,7 @@ def _gain(file: ScenarioFile, name: str, linear: tuple[float, float], units: tup
         fmu = build_gain(name, linear, units, folder / f"{name}.fmu", file.scenario.step)
     except (NoCompiler, CompilerFailed) as error:
         raise InputError(
-            [file.fault(("connections",), f"a gain is exported as an FMU in C, but compilation fails: {error}")]
+            [file.fault(("connections",), f"the FMU of a gain does not compile: {error}; omit --insert-gains")]
         ) from None
     ports = zip(("u", "y"), ("input", "output"), units, strict=True)
     return SspFmu(name, fmu, [SspConnector(port, kind, "Real", unit) for port, kind, unit in ports])

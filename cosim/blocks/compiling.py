@@ -70,7 +70,7 @@ def compile_library(folder: Path, description: Any, identifier: str) -> Path:
             )
         if missing := [name for name in names if not (root / name).is_file()]:
             raise FmuError(
-                f"its sources cannot be compiled: it lists {', '.join(missing)}, which is not there; export it again "
+                f"its sources cannot be compiled: {', '.join(missing)} of its list is missing; export it again "
                 "with all its sources"
             )
         folders = (SOURCES, *(f"{SOURCES}/{name}" for name in includes), fmi_headers())
@@ -108,7 +108,7 @@ def _declared_sources(root: Path, description: Any, identifier: str) -> tuple[li
     languages = [part.language for part in sets if part.language]
     for language in languages:
         if language not in STANDARDS:
-            raise FmuError(f"its sources cannot be compiled: they are in {language}; known are {', '.join(STANDARDS)}")
+            raise FmuError(f"its sources cannot be compiled: they are in {language}; supported: {', '.join(STANDARDS)}")
     options = [f"-std={STANDARDS[languages[-1]]}"] if languages else []
     for d in (definition for part in sets for definition in part.preprocessorDefinitions):
         options.append(f"-D{d.name}" if d.value is None else f"-D{d.name}={d.value}")

@@ -105,8 +105,8 @@ def read_clocks(path: Path, description: Any) -> dict[str, Clock]:
             )
             if clock.interval is not None and not clock.interval > 0.0:
                 raise FmuError(
-                    f"{path} is not a valid FMU: clock {name}: its interval is {clock.interval:g} s; a periodic clock "
-                    "needs one above 0, another clock one of 0 or more"
+                    f"{path} is not a valid FMU: the interval of clock {name} is {clock.interval:g} s; it must be "
+                    "above 0 s for a periodic clock, at least 0 s for others"
                 )
     return clocks
 
@@ -525,7 +525,7 @@ class EventFmu(FmuBlock):
         """Return an interval; raise SimulationError if invalid."""
         if math.isfinite(interval) and (interval > 0.0 or (interval == 0.0 and clock.kind not in PERIODIC)):
             return interval
-        message = f"its interval is {interval:g} s; a periodic clock needs one above 0, another clock one of 0 or more"
+        message = f"its interval is {interval:g} s; it must be above 0 s for a periodic clock, at least 0 s for others"
         raise SimulationError(f"{self.name}.{clock.name}", self.instance.time, message)
 
 
@@ -611,7 +611,7 @@ class ScheduledFmu(EventFmu):
         """Run a partition between its inputs and outputs."""
         if self._last.get(name, -math.inf) >= t:
             self.instance.remember(
-                f"clock {name} was due twice at t = {t:.6g} s; FMI allows one activation at a time, so one is left out"
+                f"clock {name} was due twice at t = {t:.6g} s; FMI allows one activation at a time, so one was omitted"
             )
             if name in self.timers:
                 self.timers[name].count += 1

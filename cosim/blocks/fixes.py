@@ -106,7 +106,7 @@ class Fixes(Component):
 
     def slot(self, cells: Any) -> str:
         """Return the reason why the C loop cannot step this component."""
-        return f"{self.name} measures now and then"
+        return f"{self.name} has fixes at times of its own"
 
     def _draw(self) -> list[float] | None:
         """Return the errors of a position fix, or None for a lost fix.

@@ -100,7 +100,7 @@ class FmuBlock(FmuVariables):
         way = way or ways(self.description)[0]
         if way == "scheduled-execution":
             raise FmuError(
-                f"{self.path} is for scheduled execution, which a scenario runs (components: {{name: {{fmu: FILE}}}})"
+                f"{self.path} uses scheduled execution; run it by a scenario (components: {{name: {{fmu: FILE}}}})"
             )
         return Instance if way == "co-simulation" else ModelExchange
 
@@ -165,7 +165,7 @@ class FmuBlock(FmuVariables):
         if slips := slips_of(self.description):
             more = f" (and {len(slips) - 1} more)" if len(slips) > 1 else ""
             warnings.append(
-                f"{self.path.name} breaks a rule of the FMI standard: {slips[0]}{more}; it is used nevertheless"
+                f"{self.path.name} breaks a rule of the FMI standard: {slips[0]}{more}; the FMU is used nevertheless"
             )
         if types := {v.type for v in self.description.modelVariables} - self.kinds.keys() - self.clock_types:
             warnings.append(
@@ -396,9 +396,9 @@ class FmuBlock(FmuVariables):
         """
         instance = self.instance
         if self.nominal_step:
-            return f"{self.name} is made of Python, by pythonfmu"
+            return f"{self.name} is written in Python (pythonfmu)"
         if type(instance) is not Instance or instance.version == 1:
-            return f"{self.name} is of FMI {self.description.fmiVersion} {instance.way}"
+            return f"{self.name} uses FMI {self.description.fmiVersion} {instance.way}"
         if (moves := self.moves(cells)) is None:
             return f"{self.name} has binary values"
         (puts, gets), step = moves, instance.step_function()

@@ -49,20 +49,20 @@ def _header_fault(library: Path) -> str | None:
     except OSError as error:
         return f"cannot be read: {error.strerror}"
     if head.startswith(POINTER_OF_LFS):
-        return 'is a pointer of git-lfs, not the file itself; "git lfs pull" in its repository brings it'
+        return 'is a pointer of git-lfs, not the file itself; run "git lfs pull" in its repository'
     for magic, system in OTHER_SYSTEMS.items():
         if head.startswith(magic):
-            return f"is made for {system}, though its folder is that of Linux; export the FMU for this platform"
+            return f"is made for {system}, but lies in the folder for Linux; export the FMU for this platform"
     if len(head) < 20 or not head.startswith(ELF):
         return f"is no library (it begins with {head[:8].hex(' ') or 'nothing'}); export the FMU for this platform"
     bits, own_bits = BITS.get(head[4], 0), 8 * struct.calcsize("P")
     if bits != own_bits:
-        return f"has {bits} bits (wrong ELF class), this Python {own_bits}; export the FMU for this platform"
+        return f"has {bits} bits (wrong ELF class), but this Python has {own_bits}; export the FMU for this platform"
     (processor,) = struct.unpack_from("<H" if head[5] == 1 else ">H", head, 18)
     own = MACHINES.get(platform.machine().lower())
     if own is not None and processor != own:
         other = PROCESSORS.get(processor, f"processor {processor}")
-        return f"is made for {other}, this machine is {PROCESSORS[own]}; export the FMU for this platform"
+        return f"is made for {other}, but this machine is {PROCESSORS[own]}; export the FMU for this platform"
     return None
 
 
@@ -77,24 +77,24 @@ def _loader_fault(text: str, error: Exception, hidden: bool) -> str:
         package = MAKERS.get(match["name"], match["name"])
         return (
             f"needs {package} {match['version']}{own} ({text}); run it on a newer system, or "
-            "have the FMU built on an older one"
+            "export the FMU on an older system"
         )
     # FMPy raises a bare Exception.
     cause = error.__context__ if error.__context__ is not None and type(error) is Exception else error
     if (match := MISSING.search(text)) and isinstance(cause, OSError):
         return (
             f"needs {match['file']}, which is not on this machine ({text}); install the "
-            f"package that has {match['file']}, or name its folder in LD_LIBRARY_PATH"
+            f"package that contains it, or add its folder to LD_LIBRARY_PATH"
         )
     if match := SYMBOL.search(text):
         if isinstance(error, AttributeError):  # The library is loaded, but an FMI function is missing.
             return (
-                f"has no function {match['name']}, which FMI demands ({text}); export the "
-                "FMU for this platform with a tool that writes it"
+                f"has no function {match['name']}, which FMI requires ({text}); export the "
+                "FMU again with a tool that includes this function"
             )
         return (
-            f"needs {match['name']}, which no library that it names has ({text}); the FMU "
-            "was linked without the library that has it: export it again, with that library"
+            f"needs {match['name']}, which no library linked to it defines ({text}); export the FMU "
+            "again, linked to the library that defines it"
         )
     is_refused = "Operation not permitted" in text or "Permission denied" in text
     if "failed to map segment" in text and sys.platform == "linux":

@@ -22,9 +22,9 @@ from cosim.core.errors import SimulationError
 from cosim.fmi.description import Way
 
 EVENTS_NOT_SEPARATED = (
-    "its events follow each other within {span:.2g} s, too fast for the solver to separate them: event indicator "
-    "{number} crosses zero and returns ever faster, like a ball before it rests. The FMU needs a mode in which it "
-    "rests. A smaller tolerance separates more events; an end of the run before this time avoids them"
+    "its events follow each other within {span:.2g} s, too fast for the solver: event indicator {number} crosses "
+    "zero and returns ever faster, as for a bouncing ball before it rests. The FMU needs a mode for rest. Use a "
+    "smaller tolerance to separate more events, or end the run before this time"
 )
 
 TOLERANCE = 1e-5  # relative tolerance by default, as in FMPy
@@ -168,7 +168,9 @@ class ModelExchange(Instance):
         close = ULPS * spacing + CLOSE * h
         if h <= 2 * ULPS * spacing:
             raise SimulationError(
-                self.name, t, f"a step of {h:.3g} s is too short at this time: doubles are {spacing:.2g} s apart there"
+                self.name,
+                t,
+                f"a step of {h:.3g} s is too short: doubles at this time are {spacing:.2g} s apart; use a longer step",
             )
         while end - self.reached > close:
             event = self.next_event
@@ -304,8 +306,8 @@ class ModelExchange(Instance):
         are_scalar = len(derivatives) == self._states  # Arrays would break the numbering.
         name = derivatives[number].variable.name if are_scalar else f"number {number + 1}"
         return (
-            f"the derivative {name} is {value}, also with the shortest steps of the solver. If the solution is "
-            "finite, its error grew: make `tolerance` smaller than the smallest state, or use solver: solve_ivp"
+            f"the derivative {name} is {value}, even with the shortest steps of the solver. If the exact solution "
+            "is finite, make `tolerance` smaller than the smallest state, or use solver: solve_ivp"
         )
 
     def handle_event(self, h: float) -> None:
@@ -314,7 +316,7 @@ class ModelExchange(Instance):
         self.event_counts[cause] += 1
         self._events.append(self.reached)
         if len(self._events) == self._events.maxlen and self._events[-1] - self._events[0] <= AT_ONCE * h:
-            fault = f"it chatters: {len(self._events)} events within {AT_ONCE * h:.2g} s, so that time stands still"
+            fault = f"it chatters: {len(self._events)} events within {AT_ONCE * h:.2g} s, so it does not advance"
             raise SimulationError(self.name, self.reached, fault)
         before = self._point() if cause == "step" else None
         self.event()
@@ -348,7 +350,7 @@ class ModelExchange(Instance):
                 return
             self._enter("ContinuousTime")  # A time event due now is an event of its own.
             self._enter("Event")
-        fault = f"its discrete states still change after {MOST_EVENTS} updates"
+        fault = f"its discrete states do not settle: they still change after {MOST_EVENTS} updates at one time"
         if due is not None and due <= self.reached:
             fault = (
                 f"{MOST_EVENTS} times in a row it gives t = {due:.6g} s as the time of its next event, which is "

@@ -43,7 +43,7 @@ class Profile(Part):
     def _in_order(cls, changes: list[Change]) -> list[Change]:
         times = [c.at for c in changes]
         if times != sorted(set(times)):
-            raise ValueError(f"changes at {times} s are not in order of time; sort them, one at a time")
+            raise ValueError(f"changes at {times} s are not in order of time; sort them, with one change per time")
         return changes
 
 

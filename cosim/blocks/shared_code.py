@@ -222,8 +222,8 @@ def claim(path: Path) -> list[str]:
         with suppress(OSError):  # The folder of an earlier FMU with the same code is removed.
             if file is not None and checksum and crc32(Path(file).read_bytes()) != checksum:
                 warnings.append(
-                    f"{path.name} does not get its own module {name}, since its process has loaded {file}; "
-                    "rename the module in the FMU"
+                    f"{path.name} uses the module {name} of {file}, which its process loaded before, instead of its "
+                    "own; rename the module in the FMU"
                 )
     brought = code.needed & {name for name, _ in code.libraries}
     maps = []
@@ -234,8 +234,8 @@ def claim(path: Path) -> list[str]:
         name, digest = _soname_and_digest(file)
         if name in brought and (name, digest) not in code.libraries:
             warnings.append(
-                f"{path.name} brings {name}, but its process has already loaded another one, {file}, which the "
-                "FMU therefore uses; rename the FMU's library, or link it statically"
+                f"{path.name} contains {name}, but uses {file}, which its process loaded before; "
+                "rename the FMU's library, or link it statically"
             )
     return [*map(CheckWarning, warnings)]
 

@@ -14,7 +14,7 @@ from typing import Any, Literal
 from cosim.fmi.native.compiler import CompilerFailed, NoCompiler, load_library
 
 NO_STEP_WITHIN_TOLERANCE = (
-    "{solver} finds no step so short that its error is within the tolerance; a derivative jumps, or has no bound"
+    "{solver} cannot keep the tolerance even with its shortest step; a derivative jumps, or is unbounded"
 )
 TOO_MANY_SOLVER_STEPS = (
     "{solver} does not reach the next communication point in {count} steps of its own. Allow more (max_steps), "
@@ -28,10 +28,10 @@ REFUSALS = 10  # discarded derivatives that explain a stuck solver
 MAX_STEPS = 500  # of CVODE between communication points and events, as in FMPy
 NORMAL, TOO_MUCH_WORK, ROOT_RETURN = 1, -1, 2  # task and return values of CVODE
 FAILURES = {  # CVODE's error codes with remedies
-    -2: "CVODE cannot reach the tolerance, as doubles are not that exact; loosen it",
+    -2: "the tolerance of CVODE is finer than the resolution of doubles; use a larger tolerance",
     -3: NO_STEP_WITHIN_TOLERANCE.format(solver="CVODE"),
-    -4: "CVODE finds no step so short that its iteration converges; a derivative jumps, or has no bound",
-    -27: "CVODE is to integrate over less time than doubles tell apart",
+    -4: "the iteration of CVODE does not converge even with its shortest step; a derivative jumps, or is unbounded",
+    -27: "the step of CVODE is below the resolution of doubles; use a longer communication step",
 }
 
 

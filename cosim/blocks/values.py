@@ -276,8 +276,8 @@ class FmuVariables(Component):
                 raise NotFinite(
                     f"{self.instance.name}.{name}",
                     self.instance.time,
-                    f"the value is {value}, which is no finite number; check the component's inputs and parameters, or "
-                    "take a shorter step",
+                    f"the value is {value}, not a finite number; check the component's inputs and parameters, or "
+                    "use a shorter step",
                 )
 
     # -- moved by C ---------------------------------------------------------------------------

@@ -118,7 +118,7 @@ class Estimate:
             if logs.horizon is not None or not self.has_windows:
                 assert logs.first_failure is not None
                 raise logs.first_failure[1]
-            self._use_windows("the free run fails with the values before the fit")
+            self._use_windows("the simulation of a whole log fails with the values before the fit")
 
     def _use_windows(self, reason: str) -> None:
         self.reason, self.logs.horizon = reason, max(horizons(d.log)[-1] for d in self.logs.drives)
@@ -209,8 +209,8 @@ class Estimate:
         if not ratio[worst] > DRIFTS:
             return ""
         return (
-            f"the effect of the start value does not fade, and the error of {logs.channels[worst]} in a free run is "
-            f"{ratio[worst]:.0f} times that in windows, even after a fit"
+            f"the effect of the start value does not fade, and even after a fit, the error of {logs.channels[worst]} "
+            f"over a whole log is {ratio[worst]:.0f} times the error over windows"
         )
 
 

@@ -82,7 +82,7 @@ def screen(likelihood: Likelihood) -> tuple[list[ChoiceEntry], Flags]:
             weights = least_squares(matrix[:, chosen], matrix[:, i])
             parts = np.abs(weights) * np.linalg.norm(matrix[:, chosen], axis=0)
             imitators = [names[c] for c, part in zip(chosen, parts, strict=True) if part > 0.3 * np.max(parts)]
-            reasons[i] = f"imitated by {join_names(imitators)}"
+            reasons[i] = f"not distinguishable from {join_names(imitators)}"
         elif sizes[i] >= least:
             reasons[i] = "not distinguishable from start values of the logs"
         else:

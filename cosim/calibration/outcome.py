@@ -185,7 +185,9 @@ def write_record(
     record.sentence = _sentence(record, parts)
     record.warnings = [*_warnings(record, estimate, parts)]
     if logs.horizon is not None:
-        record.notes = [f"the estimate uses windows of {logs.horizon:g} s instead of free runs: {estimate.reason}"]
+        record.notes = [
+            f"the estimate simulates windows of {logs.horizon:g} s instead of whole logs: {estimate.reason}"
+        ]
     return record
 
 
@@ -195,7 +197,7 @@ def _sentence(record: Record, parts: Sequence[Part]) -> str:
     runs = counted(record.simulations, "simulation")
     effort = f"{counted(count, 'parameter')} from {counted(len(record.logs), 'log')} by {runs}."
     if not parts:
-        return f"The fit was stopped before its proof. The best values so far: {effort}"
+        return f"The fit was stopped before its final check. The best values so far: {effort}"
     part = parts[-1]  # sealed logs; without them, the logs of the estimate
     where = counted(len(record.sealed), "sealed log") if part.sealed else "the logs of the estimate"
     error = f"error over {horizon_name(part.errors.horizon)}".replace("over free run", "of the free run")
@@ -228,9 +230,9 @@ def _warnings(record: Record, estimate: Estimate, parts: Sequence[Part]) -> Iter
         count = f"{record.failed_simulations} of {record.simulations}"
         yield f"{count} simulations failed and were rejected, first at {shown}: {error}"
     if estimate.dropped:
-        yield f"windows have their own start values, so {join_names(estimate.dropped)} is not estimated"
+        yield f"each window has its own start values, so {join_names(estimate.dropped)} is not estimated"
     if parts and (risen := parts[-1].rises):
-        yield f"on sealed logs the error of {join_names(risen)} increases by more than its scatter between parts"
+        yield f"on sealed logs the error of {join_names(risen)} increases by more than it varies between parts of a log"
     if estimate.covariance is not None and (names := estimate.above_noise()):
         above = f"the error of {join_names(names)} is above the noise and not white"
         cure = "`cosim refine` searches for effects that the FMU lacks"

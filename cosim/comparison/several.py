@@ -180,7 +180,7 @@ class ComparedRuns:
         if differing:
             worst = max((d for c in self.comparisons for d in c.differences), key=lambda d: d.share)
             where = next(c for c in self.comparisons if worst in c.differences)
-            verb = "exceed the tolerance to" if self.judged else "differ from"
+            verb = "differ by more than the tolerance from" if self.judged else "differ from"
             count = (
                 sum(any(d and d.beyond for d in row) for row in differing.values()) if self.judged else len(differing)
             )

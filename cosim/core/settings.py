@@ -43,7 +43,7 @@ def of_python(value: Any) -> Any:
         raise ValueError("give a whole number of 64 bits")
     if isinstance(value, (str, os.PathLike)) and isinstance(text := os.fspath(value), str):
         if re.search("[\0\ud800-\udfff]", text):
-            raise ValueError("it contains a NUL character or half a surrogate pair; use valid Unicode text")
+            raise ValueError("it contains a NUL character or an unpaired surrogate; use valid Unicode text")
         return str.__str__(value) if isinstance(value, str) else Path(text)
     return [*map(of_python, value)] if type(value) in (list, tuple) and len(value) < LONGEST_PATH else value
 

@@ -163,7 +163,7 @@ def bands_of(tracks: Mapping[float, Sequence[Track]], units: Mapping[str, str], 
     widths = {name: of for name, of in widths.items() if any(w is not None for w in of)}
     if not widths:
         count = f"{max(counts)} of the longest" if counts else "none"
-        reason = f"too few data: a band needs {FEWEST} replays of one horizon, and the logs have {count}"
+        reason = f"too few data: an error band needs {FEWEST} replays of equal duration, and the logs have {count}"
         return Bands(reason=reason, held_out=held_out)
     shown = {name: units.get(name, "") for name in widths}
     return Bands(
@@ -204,8 +204,8 @@ class Coverage(BaseModel):
     def sentence(self) -> str:
         """Return the coverage in words."""
         shares = join_names([f"{percent(share)} of {name}" for name, share in self.outputs.items()])
-        inside = f"{percent(self.inside)} of the sealed rows lie in the region of the logs"
-        return f"{inside}. There, the {100 * LEVEL:g} % error bands of the FMU hold {shares}."
+        inside = f"{percent(self.inside)} of the rows of sealed logs are in the region of the other logs"
+        return f"{inside}. There, the {100 * LEVEL:g} % error bands of the FMU contain {shares}."
 
 
 def coverage_of(bands: Bands, tracks: Mapping[float, Sequence[Track]]) -> Coverage | None:

@@ -24,7 +24,7 @@ def write_page(fmu: Path) -> Path:
     """Write the page of an FMU's record into the current folder and return its path; raise InputError without one."""
     record, problem = read_credibility(fmu)
     if record is None:
-        cure = "`cosim refine` and `cosim fit` write one into the FMU that they deliver"
+        cure = "`cosim refine` and `cosim fit` write one into their FMU"
         raise InputError.at(fmu, problem or f"has no record of credibility; {cure}")
     charts, region = Charts(), record.region
     values = {

@@ -106,7 +106,7 @@ class Credibility(BaseModel):
         logs = f"{counted(len(self.logs), 'log')}, {plain(sum(log.duration for log in self.logs))} s in all"
         sealed = f"; {counted(len(self.sealed), 'sealed log')}" if self.sealed else ""
         lines = [f"credibility: by {self.command} {self.versions.get('cosim', '')}, verdict {self.verdict}"]
-        lines += [f"  {self.sentence}", f"  rests on {logs}{sealed}"]
+        lines += [f"  {self.sentence}", f"  based on {logs}{sealed}"]
         values = [f"{name} = {_with_interval(p)}" for name, p in self.parameters.items()]
         lines += [f"  estimated: {join_names(values)}"] if values else []
         if region.reason:
@@ -277,7 +277,8 @@ def check_signature(fmu: Path, key: Path) -> None:
     try:
         public.verify(base64.b64decode(identity["signature"]), bytes.fromhex(content))
     except (ValueError, optional("cryptography.exceptions", str(key)).InvalidSignature):
-        raise InputError.at(fmu, f"is not as the owner of {key.name} signed it; get it from its author again") from None
+        reason = f"was changed after it was signed, or signed with a key other than that of {key.name}"
+        raise InputError.at(fmu, f"{reason}; get it from its author again") from None
 
 
 def _key(path: Path, kind: Literal["private", "public"]) -> Any:
@@ -289,7 +290,7 @@ def _key(path: Path, kind: Literal["private", "public"]) -> Any:
     try:
         key = getattr(serialization, f"load_pem_{kind}_key")(path.read_bytes(), *password)
     except (OSError, ValueError, TypeError) as error:
-        raise InputError.at(path, f"is no {kind} key in PEM without a password: {error}") from None
+        raise InputError.at(path, f"is not a {kind} key in PEM format without password: {error}") from None
     if not isinstance(key, getattr(ed25519, f"Ed25519{kind.title()}Key")):
-        raise InputError.at(path, f"is no {kind} key of Ed25519")
+        raise InputError.at(path, f"is not a {kind} key of Ed25519")
     return key

@@ -158,7 +158,7 @@ def region_of(
         name = f"rate of {signal}" if kind == "rate" else signal
         like = [i for i in kept if not constant[i] and abs(float(shapes[:, i] @ shapes[:, j])) > REPEATS * len(values)]
         if kind == "output" and signal in free:
-            left_out[name] = "the model does not depend on its level"
+            left_out[name] = "the model does not depend on its absolute value"
         elif kind == "rate" and constant[j]:
             left_out[name] = "constant"
         elif like:
@@ -169,7 +169,7 @@ def region_of(
     chosen = _spread_out(scaled, MOST_POINTS)
     threshold = conformal_quantile(_left_out_distances(scaled, block, chosen), LEVEL)
     if not np.isfinite(threshold):
-        return Region(reason="too few data: no part of the logs can be left out")
+        return Region(reason="too few data: the threshold of the region needs logs that can be left out in turn")
     coordinates = []
     for j in kept:
         signal, kind = every[j]

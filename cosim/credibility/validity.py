@@ -75,7 +75,7 @@ def validity_sentence(name: str, entry: Validity) -> str:
     """Return a sentence on how long a component was in its region; "" without this share and a reason for that."""
     share = entry.get("share")
     if share is None:
-        return f"{name}: no region to be valid in: {entry['reason']}" if entry.get("reason") else ""
+        return f"{name}: validity not judged: {entry['reason']}" if entry.get("reason") else ""
     leaves = f"; leaves the data at {entry['leaves']:.4g} s by {entry['by']}" if entry["by"] else ""
     partly = f" (not judged: {', '.join(entry['missing'])})" if entry["missing"] else ""
     return f"{name}: valid for {percent(share)} of the run{leaves}{partly}"

@@ -373,8 +373,8 @@ def noise_warnings(problem: Problem, noise: Noise, subject: Subject) -> tuple[st
     stamps = zip(names, np.exp(0.5 * noise.timing).tolist(), strict=True)
     if erring := [f"{name} by {plain(t, 2)} s" for name, t in stamps if t > 0.0]:
         warnings.append(
-            f"time stamps seem to err from row to row, with a standard deviation: {join_names(erring)}. Their "
-            "readings count less where they change fast; record with a better clock to use them fully"
+            f"the time stamps seem to jitter, with a standard deviation of {join_names(erring)}. Readings that change "
+            "fast therefore have less weight; record with a better clock to avoid this"
         )
     return tuple(warnings)
 
@@ -384,10 +384,10 @@ def cell_warnings(problem: Problem, subject: Subject) -> tuple[str, ...]:
     finest = np.max([r.resolution for r in problem.readings], axis=0)
     units = {q.name: written(q.unit) for q in subject.outputs}
     pairs = zip(problem.layout.outputs, finest.tolist(), strict=True)
-    cells = [f"{name} reads in cells of {plain(cell)} {units[name]}".rstrip() for name, cell in pairs if cell > 0.0]
+    cells = [f"{name} in steps of {plain(cell)} {units[name]}".rstrip() for name, cell in pairs if cell > 0.0]
     text = (
-        f"the readings repeat a few values: {join_names(cells)}. The noise of such a sensor is at least its "
-        "cell over √12; this is read off the logs, and no candidate"
+        f"the readings are quantized: {join_names(cells)}. Their noise is assumed to be at least the step divided "
+        "by √12; quantization is not tried as a sensor error"
     )
     return (text,) if cells else ()
 

@@ -34,8 +34,8 @@ UNIT = b"unit"  # key of a column's metadata
 PANDAS = b"pandas"  # key of the metadata that pandas writes, in JSON
 UNNAMED = re.compile(r"__index_level_\d+__")  # name that pandas gives to an index without one
 NO_NAME = (
-    "is an index of pandas without a name: its whole numbers may count rows or seconds; "
-    "name it by `rename_axis('time')`, or write a column time"
+    "is a pandas index without a name: its whole numbers may count rows or seconds; if it is the time, "
+    "name it by `rename_axis('time')`, otherwise write a column time"
 )
 MOST_VALUES = 200_000_000  # numbers in a file, 1.6 GB in memory
 ROWS_A_GROUP = 65_536

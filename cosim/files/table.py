@@ -440,7 +440,7 @@ def number_of(text: str) -> float | None:
 
 def _check_times(time: Array, lines: Sequence[int], cell: int, faults: Faults, *, jumps: bool) -> None:
     """Record times that are too large or do not increase."""
-    cure = "too large for differences of times; write seconds, or delete the row"
+    cure = "too large; write seconds, or delete the row"
     large = np.abs(time) > MOST_TIME
     faults.note_cells(np.flatnonzero(large), lines, cell, lambda row: f"time is {time[row]:g} s, {cure}")
     rows = np.flatnonzero(np.isfinite(time) & ~large)
@@ -451,7 +451,7 @@ def _check_times(time: Array, lines: Sequence[int], cell: int, faults: Faults, *
     def message(row: int) -> str:
         cure = "sort the rows, and keep one row per time"
         if time[row] == before[row] and math.ulp(time[row]) > FLOAT_RESOLUTION_S:
-            cure = "doubles of this size are too coarse: subtract the first time from all before writing"
+            cure = "doubles of this size are too coarse: subtract the first time from all times before writing"
         return f"time {time[row]:g} s does not increase, the row before has {before[row]:g} s; {cure}"
 
     faults.note_cells(rows[late], lines, cell, message)

@@ -26,7 +26,7 @@ NEEDS = "<p>Integration: {method} in equal substeps of at most {substep:g} ms, w
 METHOD = {AUTO: "RK4", RK4: "RK4", STIFF: "RODAS, linearly implicit,"}
 SWITCHES = (
     "<p>Parameters with a dot, <code>effect.parameter</code>, switch on effects that the base model lacks. At their\n"
-    "start value an effect is dormant and costs nothing.</p>"
+    "start value an effect is off and takes no time.</p>"
 )
 OF_FMI = ("input", "output", "parameter")  # causalities; other variables are local
 KINDS3 = {"Real": "Float64", "Boolean": "Boolean", "String": "String"}

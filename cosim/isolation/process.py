@@ -263,7 +263,7 @@ class Worker:
         texts = (bytes(text).decode("utf-8", "replace") for text in (self.progress.words, self._output.last))
         words = next((line.strip() for text in texts for line in reversed(text.splitlines()) if line.strip()), "")
         component, at, call = clock.place()
-        last = f"; it said last: {words[:MOST_WORDS]}" if words else ""
+        last = f"; its last output: {words[:MOST_WORDS]}" if words else ""
         return Crashed(component, at, f"{call} {how_ended(code)}{last}")
 
 
@@ -334,7 +334,7 @@ class _Output(threading.Thread):
                 shown = part[:room].decode("utf-8", "replace")
                 room -= len(part)
                 with suppress(OSError, ValueError):  # stderr may be closed
-                    sys.stderr.write(shown if room > 0 else f"{shown}\n(the FMUs print more, which is left out)\n")
+                    sys.stderr.write(shown if room > 0 else f"{shown}\n(further output of the FMUs is left out)\n")
                     sys.stderr.flush()
 
 

@@ -23,7 +23,7 @@ SIGNALS = {
     "SIGBUS": "crashed: bus error",
     "SIGFPE": "crashed: arithmetic fault",
     "SIGILL": "crashed: illegal instruction",
-    "SIGKILL": "was killed, as the system does where memory runs out",
+    "SIGKILL": "was killed, probably by the operating system because memory ran out",
 }
 STATUSES = {  # NTSTATUS of Windows
     0xC0000005: "crashed: access violation",
@@ -217,7 +217,7 @@ class Clock:
         if size > limit:
             component, at, call = self.place()
             message = (
-                f"{call}: the process and those that it started hold {size / 1e6:.4g} MB, more than "
+                f"{call}: its process and child processes use {size / 1e6:.4g} MB, more than the limit of "
                 f"{limit / 1e6:.4g} MB (limits: memory)"
             )
             raise SimulationError(component, at, message)
@@ -241,7 +241,7 @@ class Clock:
         component, at, _ = self.place()
         calls = zip(self.watch.components, self.watch.calls, strict=False)
         fmus = [name for name, names in calls if names is not PLAIN_CALLS]
-        message = "closed, read or wrote descriptors that it did not open"
+        message = "closed, read or wrote file descriptors that it did not open"
         if len(fmus) > 1:
-            message += "; give them process: own, which shows the FMU"
+            message += "; to see which FMU did, set process: own for each"
         return " or ".join(fmus) or component, at, message

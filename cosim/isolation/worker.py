@@ -211,7 +211,7 @@ def transfer_fault(error: Exception) -> InputError:
     """Return the fault of an unsendable argument."""
     reason = " ".join(str(error).split())[:200]
     message = (
-        f"cannot take over an object ({type(error).__name__}: {reason}); define it in a module that can be "
+        f"cannot be passed to the worker process ({type(error).__name__}: {reason}); define it in a module that can be "
         "imported, or run in this process (in_process=True, --in-process)"
     )
     return InputError.at(Path("the worker process"), message)

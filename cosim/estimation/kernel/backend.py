@@ -64,8 +64,8 @@ def kernel(
                 [
                     Fault(
                         *place,
-                        "this line works on numbers only, and refine replaces numbers by symbols to compile "
-                        f"it: {error}",
+                        "this line works on numbers only, but refine compiles it with symbols in place of "
+                        f"numbers: {error}; use the functions of m",
                     )
                 ]
             ) from error

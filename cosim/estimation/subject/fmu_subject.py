@@ -44,7 +44,7 @@ from cosim.terms.language import Direction, Force, Opposite, Place, with_place
 SUBSTEPS = 8  # steps of co-simulation between rows, for forces that follow the outputs
 WAYS = {
     "model-exchange": "model exchange: a filter over the states of the FMU",
-    "co-simulation": "co-simulation: free runs of the FMU, with estimated deviations of the outputs",
+    "co-simulation": "co-simulation: simulations of whole logs, with estimated deviations of the outputs",
 }
 NO_ACCESS = (
     "effects inside the FMU, away from its inputs and outputs (co-simulation gives no access; "
@@ -140,8 +140,8 @@ class FmuSubject(ModelSubject):
         if constant:
             raise InputError.at(
                 self.structure.fmu,
-                f"{', '.join(constant)} cannot be estimated per log: the library of an FMU takes parameters before its "
-                "initialization only; leave out per_log",
+                f"{', '.join(constant)} cannot be estimated per log, because an FMU accepts parameters only before its "
+                "initialization; remove per_log",
             )
         return kernel(self.model, measured, unnamed, fmu=self._library_of(self.structure.fmu, self._description))
 

@@ -161,7 +161,7 @@ def _value_faults(kind: type[Model]) -> Faults:
         low, high = d.bounds
         is_quantity = isinstance(d, Quantity)
         if d.unit and parse(d.unit) is None:
-            cure = "write it with SI symbols, as in N.m.s/rad or m/s2, and a pure number as 1"
+            cure = "write it with SI symbols, as in N.m.s/rad or m/s2, and 1 if there is no unit"
             yield owner, attribute, f'unknown unit "{d.unit}" of {name}; {cure}'
         if (is_quantity or not isinstance(d.default, bool)) and not low < high:
             yield owner, attribute, f"{name} has bounds {d.bounds}; write the lower one first"

@@ -101,7 +101,7 @@ def with_substep(loaded: LoadedModel, logs: Sequence[RunLog] = ()) -> tuple[Load
         reason = f"{name} is stiff: {mode}, for which RK4 needs more than {MOST_SUBSTEPS} substeps per step of the rate"
         cure = f"replace the equation of {mode.state} by an algebraic one, or set a substep of at most {longest}"
         if mode.eigenvalue.real > 0.0:
-            reason = f"{name} is unstable: {mode} that grows"
+            reason = f"{name} is unstable: {mode}, which grows"
             cure = "check its parameters, start values and the units of the log"
         elif model.integrator == RK4 and mode.eigenvalue.real * model.rate <= -DEAD:
             cure = "set integrator = 'stiff', or omit it"

@@ -32,8 +32,8 @@ DECIDED = (
     "number): use m.where"
 )
 NOT_NEUTRAL = (
-    "the effect changes the equations at its neutral value, or the equations test for effects: in C a dormant "
-    "effect is evaluated at its neutral value"
+    "the effect changes the equations even at its neutral value, or the equations test for effects: C code "
+    "evaluates every effect, so an absent one must be neutral"
 )
 Values = list[tuple[str, str, float]]  # quantity, method of the model, value
 Difference = tuple[str, str, float, float]  # the same, with the values by Python and by generated code

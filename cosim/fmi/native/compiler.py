@@ -218,7 +218,7 @@ def library_of(
             data = (folder / "library").read_bytes()
     if not data:
         output = (run.stderr or run.stdout).strip()
-        lines = output.splitlines() or ["it says nothing and writes no library"]
+        lines = output.splitlines() or ["it printed no message and wrote no library"]
         line = next((line for line in lines if "error" in line.lower()), lines[-1])
         raise CompilerFailed(f"{name} failed: {line}", output)
     if missing := _missing_exports(data, exports):
