@@ -290,8 +290,8 @@ def with_feedthrough(
         load = given.load or LOADING + (LIMIT if permission.get() else 0.0)
         limits, spent = given.model_copy(update={"total": max(total, LEAST_FIRST_STEP), "load": load}), [0.0]
         note = Note(
-            f"measuring which outputs of {join_names([*undeclared])} follow their inputs at once, which these FMUs "
-            f"do not declare: at most {limits.total:g} s"
+            f"measuring the direct feedthrough of {join_names([*undeclared])}, which these FMUs do not declare "
+            f"(at most {limits.total:g} s)"
         )
         timer = Timer(SILENT, tell, (note,))
         timer.daemon = True
@@ -304,7 +304,7 @@ def with_feedthrough(
             except CosimError as error:
                 reason = str(error)
                 if isinstance(error, TimedOut) and spent[0] > (limits.total or LONGEST_MEASUREMENT):
-                    reason = Note(f"it takes longer than {limits.total:g} s in all, at last in {error.component}")
+                    reason = Note(f"it was stopped after {limits.total:g} s, in {error.component}")
                 measured = Feedthrough(failure=f": {reason}")
             followed = {n: sorted({i for _, i in measured.pairs if i in inputs}) for n, inputs in undeclared.items()}
             known = measured.inputs - {entry for _, entry in measured.at_start}
@@ -371,8 +371,8 @@ def _note(
     if failure and (pairs := [pair for pair in measured.pairs if is_part(pair[1])]):
         return (
             f"{loop.name} is an algebraic loop that no FMU declares: measured before the run, {facts(pairs)}. "
-            "It is left open, so that some inputs have the values of the step before, because solving it fails: "
-            f"{failure}"
+            "The loop is not solved, and some inputs have the values of the previous step, because solving it "
+            f"fails: {failure}"
         )
     if pairs := [pair for pair in measured.at_start if is_part(pair[1]) and pair[1] in held]:
         members = [stage.component for stage in system.stages if stage.component.name in loop.members]
@@ -381,23 +381,22 @@ def _note(
             isinstance(m, FmuBlock) and not isinstance(m, EventFmu) and m.rolls_back for m in members
         )
         cure = (
-            Note("loops: {} solves it by repeated steps")
+            Note("to solve it by repeated steps, add loops: {}")
             if can_repeat
             else Note(
-                "an FMU that saves and restores its state, or one without direct feedthrough, would be a cure; "
-                "order: [...] states that it is open, without this warning"
+                "to solve it, use FMUs that save and restore their state; to accept these values without this "
+                "warning, set order: [...]"
             )
         )
         return (
-            f"{loop.name} may be an algebraic loop that no FMU declares: in initialization {facts(pairs)}, "
-            "later only with a step. It is left open, so that some inputs may have the values of the step "
-            f"before; {cure}"
+            f"{loop.name} may be an algebraic loop that no FMU declares: {facts(pairs)} in initialization, "
+            "but later only after a step. The loop is not solved, so some inputs may have the values of the "
+            f"previous step; {cure}"
         )
     if names := sorted(filter(is_part, unknown)):
         return (
-            f"{loop.name} may be an algebraic loop: whether outputs follow {join_names(names)} at once is not "
-            f"declared, nor measured{measured.failure}; cosim assumes that none does; feedthrough: [...] of the "
-            f"component names the inputs that an output follows, [] for none; loops: {{}} solves it; order: "
-            "[...] states the order instead"
+            f"{loop.name} may be an algebraic loop: direct feedthrough of {join_names(names)} is neither declared "
+            f"nor measured{measured.failure}. cosim assumes none. List the inputs with direct feedthrough under "
+            "feedthrough: of the component ([] for none), add loops: {} to solve the loop, or set order: [...]"
         )
     return ""

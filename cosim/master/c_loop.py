@@ -66,7 +66,7 @@ class CompiledSteps:
         if not master.in_c:
             raise NotCompiled("asked for")
         if stages is not None and system.beside:
-            raise NotCompiled(f"{system.beside[0]} is no number that a double holds")
+            raise NotCompiled(f"{system.beside[0]} has values that doubles cannot represent")
         self._types = [FMI3[system.signals[name].kind] for name in system.beside]
         self._cells = (Cell * len(self._types))(*(Cell(not kind.is_whole) for kind in self._types))
         self.in_python: dict[str, str] = {}  # component → why Python steps it
@@ -90,7 +90,9 @@ class CompiledSteps:
         if self.in_python and not any(slot.version > 0 for slot in slots):
             raise NotCompiled(next(iter(self.in_python.values())))
         if self.in_python and system.beside:
-            raise NotCompiled(f"{system.beside[0]} is no number that a double holds, and Python steps a component")
+            raise NotCompiled(
+                f"{system.beside[0]} has values that doubles cannot represent, and Python steps a component"
+            )
         self._library = library()  # compiled only if used
         self._keeping: list[Any] = [slots]  # memory that C uses
         for slot, stage in zip(slots, stages, strict=True):
@@ -177,7 +179,7 @@ class CompiledSteps:
             cells = [ctypes.addressof(self._cells[k]) for k in (t.source, t.target)] if all(t.beside) else (None, None)
             is_other = signals[t.origin].kind != signals[t.name].kind or bool(self.master.copying.links[t.name])
             if any(t.beside) and (is_other or not all(t.beside)):
-                raise NotCompiled(f"{t.name} has another value than {t.origin}, and no double holds them")
+                raise NotCompiled(f"{t.name} differs from {t.origin}, and doubles cannot represent their values")
             links = [link.link() for link in self.master.copying.links[t.name]]
             chain = (ConvertedLink * len(links))(*links)
             ends = first + 8 * t.source, first + 8 * t.target

@@ -129,8 +129,8 @@ class Keeper:
                 raise SimulationError(
                     "the run",
                     float(master.time[0]),
-                    "the components begin with other values than in the run that was to go on; run the scenario again "
-                    "from its start",
+                    "the components start with other values than in the stopped run; run the scenario again from "
+                    "its start",
                 )
             if self.start.unsaved(master.system):
                 self.repeated = self.start.count
@@ -226,8 +226,8 @@ class Keeper:
         place = _first_difference(master.table[: self.start.count], self.start.values)
         if place is not None:
             reason = (
-                "its outputs differ from the recorded ones when its steps are made again, so the run cannot go on; run "
-                "the scenario again from its start"
+                "its outputs differ from the recorded outputs when its steps are repeated, so the run cannot continue; "
+                "run the scenario again from its start"
             )
             component = master.system.columns[place[1]].partition(".")[0]
             raise SimulationError(component, float(master.time[place[0]]), reason)

@@ -169,9 +169,9 @@ class CourseStep:
     def in_c(self) -> str | tuple[CCourse, CCourse]:
         """Return both courses for the loop in C, or the reason against it."""
         if self.tail:
-            return f"{self.component.name} answers interpolated inputs only after a step"
+            return f"{self.component.name} has interpolated inputs and responds to them only after a step"
         if self.follows:
-            return f"{self.component.name} takes derivatives of its inputs"
+            return f"{self.component.name} receives derivatives of its inputs"
         row, start = self._master.row, self._master.system.start
         return self.past.in_c(row, self.old, start), self.course.in_c(row, self.new, start)
 

@@ -67,8 +67,8 @@ class Initialization:
         return NotFinite(
             name,
             self.system.start,
-            f"it still changes after {count} exchanges of initialization: an algebraic loop that exchanging values "
-            "does not settle; an FMU without direct feedthrough in the loop breaks it",
+            f"it still changes after {count} exchanges of values in initialization: it is part of an algebraic loop "
+            "that these exchanges do not solve; put an FMU without direct feedthrough into the loop",
         )
 
     def _settle(self) -> bool:

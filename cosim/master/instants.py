@@ -188,9 +188,9 @@ class Instants(Policy):
         for part in self.parts:
             if part.lead:
                 self.master.notes.append(
-                    f"{part.component.name} was up to {part.lead:.3g} s ahead of an event of another FMU, because both "
-                    f"may return early from a step and it cannot go back: it got {part.ahead} such events that much "
-                    "later. A shorter step of the scenario shortens this"
+                    f"{part.component.name} was already up to {part.lead:.3g} s past an event of another FMU and "
+                    f"cannot go back, so {part.ahead} events took effect there late, by at most this time. Use a "
+                    "shorter step of the scenario to reduce the delay"
                 )
         if self.master.controlled is not None:
             self.master.controlled.finish()
@@ -275,7 +275,7 @@ class Instants(Policy):
             raise SimulationError(
                 names or "the run",
                 t,
-                f"{len(self._times)} events within {AT_ONCE * self.h:.2g} s, so that time stands still",
+                f"{len(self._times)} events within {AT_ONCE * self.h:.2g} s, so the run does not advance",
             )
         self._handle(asked)
 
@@ -323,7 +323,7 @@ class Instants(Policy):
         raise self._unsettled(
             before,
             asked[0],
-            f"{MOST_EVENTS} updates of discrete states at one time; these FMUs ask for another one: {names}",
+            f"{MOST_EVENTS} updates of discrete states at one time, and these FMUs request another: {names}",
         )
 
     def _settle(self) -> None:
@@ -357,8 +357,8 @@ class Instants(Policy):
         raise self._unsettled(
             before,
             self.joined[-1],
-            f"{MOST_SWEEPS} exchanges of values at one event: an algebraic loop between FMUs in event mode that "
-            "exchanging values does not settle",
+            f"{MOST_SWEEPS} exchanges of values at one event: an algebraic loop between FMUs in event mode, which "
+            "these exchanges do not solve",
         )
 
     def _unsettled(self, before: bytes, part: Part, reason: str) -> SimulationError:

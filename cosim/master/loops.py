@@ -311,19 +311,18 @@ class LoopSolver:
                 raise
             last = delayed.last
             message = (
-                f"{error.reason}. {self.name} is an algebraic loop that is not solved: {delayed.reason}; at "
-                f"t = {last['time']:.6g} s {last['signal']} was {last['value']:.3g} and the loop returned "
-                f"{last['residual']:+.3g} more"
+                f"{error.reason}. {self.name} is an algebraic loop that is not solved: {delayed.reason}. At "
+                f"t = {last['time']:.6g} s, {last['signal']} was {last['value']:.3g} with the residual "
+                f"{last['residual']:+.3g}"
             )
             raise SimulationError(error.component, error.time, message) from None
         if delayed is not None and assumed is not None and delayed.note(t + h, assumed, self.signals[delayed.places]):
             last = delayed.last
             message = (
                 f"{self.name} is not solved ({delayed.reason}) and grows without bound: {last['signal']} is "
-                f"{last['value']:.3g} in the last step, and the loop returns {last['residual']:+.3g} more, a residual "
-                "that doubles in equal times. It needs an FMU that saves and restores its state, or one without "
-                "direct feedthrough; a shorter step if the growth is of motion; order: [...] runs it without this "
-                "judgement"
+                f"{last['value']:.3g} in the last step, and its residual {last['residual']:+.3g} doubles in equal "
+                "times. Use an FMU that saves and restores its state, one without direct feedthrough, or a shorter "
+                "step. order: [...] runs the loop without this check"
             )
             raise SimulationError("algebraic loop", t + h, message)
 
@@ -358,18 +357,18 @@ class LoopSolver:
         if self._delayed is not None and self._delayed.worst and not self._is_warned:
             worst, relative = self._delayed.worst, self._delayed.record()["relative"]
             notes.append(
-                f"the algebraic loop {self.name} is not solved: {self._delayed.reason}. Each step has the inputs of "
-                f"its start; at its end the loop returns others, by {relative['median']:.2g} of the signal at half of "
-                f"the points and {relative['last']:.2g} at the last; the largest residual is {worst['residual']:+.3g} "
-                f"of {worst['signal']} at t = {worst['time']:.6g} s. A shorter step makes a residual of motion smaller"
+                f"the algebraic loop {self.name} is not solved: {self._delayed.reason}. Inputs have the values of the "
+                f"start of each step. The residual at its end, relative to the signal, is {relative['median']:.2g} in "
+                f"the median and {relative['last']:.2g} at the last point; the largest is {worst['residual']:+.3g} of "
+                f"{worst['signal']} at t = {worst['time']:.6g} s. A shorter step may reduce it"
             )
         if self._rough:
             t, residual, value, signal = self._rough[0]
             notes.append(
-                f"the algebraic loop {self.name} is solved less exactly than to {self.settings.tolerance:g} of its "
-                f"signals at {len(self._rough)} points: first at t = {t:.6g} s, where {signal} is {value:.3g} and the "
-                f"loop returns {abs(residual):.2g} more or less, which no iteration makes smaller. A nominal value of "
-                "this input in its FMU states the size that counts"
+                f"the algebraic loop {self.name} is not solved to the relative tolerance "
+                f"{self.settings.tolerance:g} at {len(self._rough)} points: first at t = {t:.6g} s, where {signal} is "
+                f"{value:.3g} with a residual of ±{abs(residual):.2g} that no iteration reduces. Declare the size of "
+                "this input as its nominal value in the FMU"
             )
         return notes
 
@@ -402,21 +401,23 @@ class LoopSolver:
         signals = ", ".join(t.name for t in self._transfers)
         if self._has_unit_gain(start):
             message = (
-                f"{self.name} has no solution, or no unique one: its gain is 1, so that the loop returns "
-                f"{residual:+.3g} more than {signal}, whatever its value. Signals of the loop: {signals}. No start "
-                "value, tolerance, order or algorithm is a cure; change its equations (a parameter of an FMU), or put "
-                "an FMU without direct feedthrough into it"
+                f"{self.name} has no solution, or no unique one: its gain is 1, so {signal} has the residual "
+                f"{residual:+.3g} whatever its value. Signals of the loop: {signals}. Start values, tolerance, order "
+                "and algorithm do not help; change a parameter of an FMU, or put an FMU without direct feedthrough "
+                "into the loop"
             )
         else:
             more = ""
             if abs(residual) <= ROUNDED * max(abs(value), roots.scale[worst]) and tolerance < PROPOSED:
-                more = f", or a larger tolerance: this residual is rounding (loops: {{tolerance: {PROPOSED:g}}})"
+                more = (
+                    f", or a larger tolerance, because this residual is rounding (loops: {{tolerance: {PROPOSED:g}}})"
+                )
             elif count >= self.settings.iterations:  # with fewer, no step leads nearer
                 more = f", or more iterations (loops: {{iterations: {5 * self.settings.iterations}}})"
             message = (
-                f"{self.name} does not converge: after {count} iterations {signal} is {value:.6g}, and the loop "
-                f"returns {residual:+.3g} more (relative tolerance {tolerance:g}). Signals of the loop: {signals}. If "
-                f"it has a solution, start values near it help{more}; order: [...] or algorithm: jacobi do not solve it"
+                f"{self.name} does not converge: after {count} iterations {signal} is {value:.6g} with the "
+                f"residual {residual:+.3g} (relative tolerance {tolerance:g}). Signals of the loop: {signals}. Use "
+                f"start values near the solution{more}; order: [...] and algorithm: jacobi do not solve it"
             )
         raise SimulationError("algebraic loop", t, message)
 
@@ -529,21 +530,21 @@ class LoopSolver:
         can_repeat = isinstance(fmu, FmuBlock) and fmu.rolls_back
         member.repeats = can_repeat and bool(missing.any() or is_silent)
         if not (is_declared or has_reacted):
-            member.late = f"{name} answers no input without a step, and none is declared to act"
+            member.late = f"{name} responds to inputs only after a step, and declares no direct feedthrough"
             self._is_warned = True
             return [
-                f"{name}: no output in the algebraic loop {self.name} follows an input without a step, and none is "
-                "declared to; its outputs are those after a step with the inputs of the step's start. If a step shows "
-                f"feedthrough, state it (components.{name}.feedthrough: [{', '.join(inputs)}])"
+                f"{name} neither declares nor shows direct feedthrough in the algebraic loop {self.name}; its outputs "
+                "are computed by a step with the inputs of the start of the step. If it has direct feedthrough, "
+                f"declare it (components.{name}.feedthrough: [{', '.join(inputs)}])"
             ]
         if is_silent and not can_repeat:
-            member.late = f"{name} answers only after a step and cannot save its state"
+            member.late = f"{name} responds to inputs only after a step and cannot save its state"
         elif missing.any() and not can_repeat:
             j, k = (int(each[0]) for each in np.nonzero(missing))
-            cure = "no cure: with values of the step before, they grow"
+            cure = "no cure: with values of the previous step, the signals grow"
             more = ". The loop needs an FMU that saves and restores its state, or one without direct feedthrough"
             if gain < 1.0:
-                cure, more = "a cure: they leave it open, with values of the step before, which settle", ""
+                cure, more = "a cure: the loop then uses values of the previous step, and its signals settle", ""
             raise SimulationError(
                 name,
                 self.start,

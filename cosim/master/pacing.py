@@ -104,11 +104,11 @@ class Pacer:
         if not count:
             return ()
         worst = f"at worst {1e3 * overruns['worst']:.3g} ms at t = {overruns['at']:.6g} s"
-        points = f"{count} of {record['points']} communication points came more than a step"
+        points = f"{count} of {record['points']} communication points were more than a step"
         if (end := record["behind_at_end"]) > self.length:
             return (
-                f"the pace {self.pace:g} is not kept: {points} late, {worst}, and the last {1e3 * end:.3g} ms; the run "
-                "went on as fast as it could",
+                f"the pace {self.pace:g} is not kept: {points} late, {worst}, and {1e3 * end:.3g} ms at the end; the "
+                "run continued as fast as it could",
             )
         return (f"{points} behind the pace {self.pace:g}, {worst}; the run caught up",)
 

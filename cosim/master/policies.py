@@ -275,29 +275,29 @@ class ControlledSteps(Policy):
             )
             if self.missed:
                 notes.append(
-                    f"the error of {len(steps)} steps is above the tolerance {tolerance:g} although min allows no "
-                    f"shorter ones, {control.shortest:g} s: {errors}. Give a shorter min or a larger tolerance"
+                    f"the error of {len(steps)} steps is above the tolerance {tolerance:g}, although they are as short "
+                    f"as min allows ({control.shortest:g} s): {errors}. Give a shorter min or a larger tolerance"
                 )
             else:
                 notes.append(
-                    f"the error of {len(steps)} steps turned out above the tolerance {tolerance:g}; estimator: "
-                    f"{control.estimator} does not repeat steps: {errors}. Give a max below {control.longest:g} s or a "
-                    "larger tolerance"
+                    f"the error of {len(steps)} steps is above the tolerance {tolerance:g}: {errors}. estimator: "
+                    f"{control.estimator} cannot repeat them; give a max below {control.longest:g} s or a larger "
+                    "tolerance"
                 )
         allowed = tolerance * np.array(control.nominal)
         if (small := np.flatnonzero((self.largest > 0.0) & (allowed > MUCH * self.largest))).size:
             names = ", ".join(self.master.system.columns[k] for k in small[:MOST_NAMED])
             notes.append(
-                f"{small.size} signals stay so far below their nominal value, 1 if the FMU states none, that a step "
-                f"within the tolerance {tolerance:g} may err by up to "
-                f"{np.max(allowed[small] / self.largest[small]):.2g} times the signal: {names}. State their nominal "
+                f"{small.size} signals are far below their nominal values (1 if the FMU declares none), so that the "
+                f"tolerance {tolerance:g} allows errors of up to "
+                f"{np.max(allowed[small] / self.largest[small]):.2g} times the signal: {names}. Declare their nominal "
                 "values in the FMUs, or give a smaller tolerance"
             )
         if control.estimator == "residual" and not self.sources:
             notes.append(
-                "no input is extrapolated, so that estimator: residual judges nothing and steps grow to "
-                f"{control.longest:g} s whatever their error; give one step: of that length, or FMUs that save and "
-                "restore their state (estimator: halving)"
+                "no input is extrapolated, so estimator: residual measures no error and steps grow to "
+                f"{control.longest:g} s; set step: to a fixed length, or use FMUs that save and restore their state "
+                "(estimator: halving)"
             )
 
     def record(self) -> dict[str, Any]:

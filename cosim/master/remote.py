@@ -242,9 +242,7 @@ def _begin_rows(
                     (parent / BESIDE).unlink(missing_ok=True)
                 return new.replace(parent / ROWS), rows
         rows //= 2
-    raise DiskFull(
-        "the run", 0.0, f"the disk is full: it has no room for the rows of the run, {8e-6 * columns * count:.3g} MB"
-    )
+    raise DiskFull("the run", 0.0, f"the disk is full: the rows of the run need {8e-6 * columns * count:.3g} MB")
 
 
 def simulate_rows(
