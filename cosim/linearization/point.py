@@ -149,7 +149,7 @@ def points_along(
     step = float(np.min(np.diff(time), initial=1.0))
     rows = np.searchsorted(time, times + roundings(times, step), side="right") - 1
     if (np.abs(time[rows] - times) > roundings(times, 1e3 * step)).any():
-        notes.append("a time between two communication points is moved to the earlier of the two")
+        notes.append("each time is moved to the communication point before it")
     inputs = _columns(results, name, source.inputs)
     if isinstance(source, EquationSource):
         values, outputs = _simulate(source, start, time[: max(rows) + 1], inputs)
@@ -160,7 +160,9 @@ def points_along(
         if difference[worst] > MAX_OUTPUT_DIFFERENCE * span[worst]:
             output = source.outputs[worst]
             size = f"{difference[worst]:.3g} {source.units.get(output, '')}".rstrip()
-            notes.append(f"{name} is not this model: with the same inputs, {output} differs by up to {size}")
+            notes.append(
+                f"{name} of the scenario differs from this model: with the same inputs, {output} by up to {size}"
+            )
     else:
         values = _columns(results, name, source.states)
         if names := ", ".join(np.array(source.states)[np.isnan(values).all(axis=0)]):

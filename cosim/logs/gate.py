@@ -123,7 +123,7 @@ def _timing(log: Log) -> Iterator[Finding]:
         )
         yield Finding("warning", "short", "time", message)
     if abs(start := float(log.time[0])) > 1e6:
-        message = f"time starts at {start:.0f} s; the model uses this time unchanged"
+        message = f"time starts at {start:.0f} s; the simulation uses this time unchanged"
         yield Finding("note", "epoch", "time", message)
 
 
@@ -318,7 +318,7 @@ def _against_rate(log: Log, name: str, rate: str, *, declared: bool) -> Iterator
             message = (
                 f"does not follow the integral of {rate} (correlation {plain(rho, 2)}), although both change by "
                 "far more than "
-                "their noise: the sign of one changes within the log, or they belong to different bodies"
+                "their noise: one of the two changes its sign within the log, or they belong to different bodies"
             )
             yield Finding("warning", "disagreement", name, message)
         return
@@ -352,7 +352,7 @@ def _against_rate(log: Log, name: str, rate: str, *, declared: bool) -> Iterator
         yield Finding("warning", "scale", rate, message)
     if slope > 0.0 and abs(drift) > 5.0 * error_drift and abs(drift) > 0.003 * float(np.nanstd(log.outputs[rate])):
         bias = amount(float(-drift / slope), log.units[rate], 2, difference=True)
-        message = f"is {bias} above d {name}/dt in the whole log: one of the sensors has a bias"
+        message = f"is {bias} above d {name}/dt in the whole log: the sensor of {rate} or of {name} has a bias"
         yield Finding("note", "drift", rate, message)
 
 

@@ -102,8 +102,8 @@ def scales(log: Log, model: NamedArrays) -> Iterator[Finding]:
         is_alike = fit.correlation > LIKE
         if fit.correlation < -LIKE or (fit.is_certain and SAME_SIZE[0] < -fit.slope < SAME_SIZE[1]):
             message = (
-                f"moves opposite to the model ({times}, correlation {plain(fit.correlation, 2)}): it or an input has "
-                "the wrong sign"
+                f"moves opposite to the model ({times}, correlation {plain(fit.correlation, 2)}): this column or an "
+                "input has the wrong sign"
             )
             yield Finding("warning", "sign", name, message, numbers)
         elif is_alike or fit.is_certain:

@@ -115,7 +115,7 @@ def evaluate(text: str, signals: Mapping[str, tuple[Recording, str]], name: str 
         wide = np.flatnonzero(np.diff(rows) > 1)
         if function == "integral" and wide.size:
             longest = float(np.max(time[rows[wide + 1]] - time[rows[wide]]))
-            gaps = f"{counted(wide.size, 'gap')} without values, at most {longest:.3g} s"
+            gaps = f"{counted(wide.size, 'gap')} without values, the longest {longest:.3g} s"
             notes.append(f"{name or text}: {gaps}, interpolated linearly")
         out[rows] = OVER_TIME[function](time[rows], values[rows], *map(float, constants))
         return out

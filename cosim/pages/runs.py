@@ -28,7 +28,7 @@ from cosim.pages.rows import TIME, Recording, open_rows
 from cosim.sweeps.store import TABLE, read_runs
 
 NO_ROWS = "has no rows to draw{status}; give folders of runs, or tables with time in the first column"
-LOST = "{label} was removed or replaced; the rows that were read stay"
+LOST = "{label} was removed or replaced; the page shows the rows read before"
 MAX_RUNS = 20  # results listed by name in a message
 MAX_NAMES = 5  # signals in a note
 LOOK = 1.0  # [s] between checks of a file
@@ -239,7 +239,8 @@ def _places(
         raise InputError.at(path, NO_ROWS.format(status=status_in(path)))
     units, display = swept.record["units"], swept.record.get("display") or {}
     notes.append(
-        f"{name} is a sweep; {len(runs)} of its {counted(swept.record['runs'], 'run')} are shown, at the times kept"
+        f"{name} is a sweep; {len(runs)} of its {counted(swept.record['runs'], 'run')} are shown, at the times that "
+        "the sweep stored"
     )
     labels = {f"{name} run {number}": Recording({TIME: time, **signals}, units) for number, signals in runs.items()}
     return [RunPlace(n, n, path / TABLE, rows=rows, display=display) for n, rows in labels.items()]

@@ -209,7 +209,7 @@ class ServedPage:
         since = time.monotonic()
         try:
             if self.streams or (first and not self.opened):
-                say(Note("the page is available until it is closed in the browser; Ctrl-C ends the command"))
+                say(Note("the command ends when the page is closed in the browser, or with Ctrl-C"))
             while self.streams or time.monotonic() - since < (reload if self.opened else first):
                 if self.streams:  # After a page was closed, a reload has its full time.
                     since = time.monotonic()

@@ -143,10 +143,9 @@ class Places:
         """Return sentences on an internal step, on failures, and on damping parameters that could not be used."""
         stops = [f"{stop}; the structure was measured before this" for stop in self.structure.stops]
         lost = [
-            f"{d.parameter} damps {d.pair.velocity} and would show how forces there change other derivatives, but "
-            "a second "
-            "instance cannot be synchronized (events occur, or only one instance per process is allowed); forces at "
-            f"{d.pair.velocity} act through an input, or on its derivative alone"
+            f"forces at {d.pair.velocity} are tried only through an input or on its derivative: how they change other "
+            f"derivatives could be measured with the damping parameter {d.parameter}, but a second instance cannot be "
+            "synchronized (events occur, or only one instance per process is allowed)"
             for d in self.structure.directions
             if not d.in_step
         ]

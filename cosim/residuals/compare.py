@@ -138,8 +138,9 @@ def compare(drive: Drive, free: Replay, findings: Sequence[Finding]) -> Comparis
         channels.append(ChannelSummary(name, unit, decisive, *errors, lost, excess, matched, explained))
         if lost:
             message = (
-                f"is missed by {size(floor.astray, unit)} over {plain(measure)}\u00a0s where the FMU is restarted "
-                "from its own outputs: it keeps a state that no output shows, and only the free run measures it"
+                f"differs by {size(floor.astray, unit)} over {plain(measure)}\u00a0s if the FMU is restarted from its "
+                "own outputs: the FMU has a state that no output determines, so only the run over the whole log "
+                "judges it"
             )
             numbers = {"rmse": floor.astray, "noise": floor.rmse}
             hidden.append(Finding("warning", "hidden_state", name, message, numbers))
@@ -317,8 +318,8 @@ def sentence(comparison: Comparison) -> str:
         if pairs := [(c, u) for c in wrong.values() for u in c.inputs[:1] if u.stands_out]:
             channel, by = max(pairs, key=lambda pair: pair[1].strength)
             follows = f"of {channel.name} follows {by.name} (correlation {plain(float(by.rho[by.peak]), 2)})"
-            cause = f"The model's answer to {by.name} is wrong or incomplete"
-            cause += "" if by.ahead else ", or the loop answers a disturbance"
+            cause = f"The model's response to {by.name} is wrong or incomplete"
+            cause += "" if by.ahead else ", or the controller responds to a disturbance"
         delays = [f for f in comparison.findings if f.kind == "delay" and f.channel in wrong]
         if delays := [f for f in delays if abs(f.numbers["delay"]) > comparison.log.step]:
             cause = max(delays, key=lambda f: abs(f.numbers["delay"]) / f.numbers["error"]).whole
@@ -327,8 +328,9 @@ def sentence(comparison: Comparison) -> str:
     elif answer == "explained":
         texts.append(f"All channels agree with the log within sensor noise; {worst.name} is off by {error}.")
     if lost:
-        free = join_names([f"{c.name} by {size(c.scores[FREE_RUN].rmse, c.unit)}" for c in lost])
+        free = join_names([f"{size(c.scores[FREE_RUN].rmse, c.unit)} of {c.name}" for c in lost])
         texts.append(
-            f"Windows cannot judge this FMU, which keeps a state that no output shows. Its free run misses {free}."
+            "Short replays cannot judge this FMU, because no output determines one of its states. Over the whole log, "
+            f"the error is {free}."
         )
     return " ".join(texts)

@@ -141,7 +141,7 @@ class Drive:
             every = ", ".join(known) or "none"
             for name in (n for n in names if n not in known):
                 cure = f"{did_you_mean(name, known)} (its {kind}s: {every})"
-                faults.append(Fault(fmu, 0, 0, f'has no {kind} "{name}", which {log.path.name} holds{cure}'))
+                faults.append(Fault(fmu, 0, 0, f'has no {kind} "{name}", a column of {log.path.name}{cure}'))
         refuse(faults)
         self.inputs = tuple(s.name for s in self.block.inputs if s.name in log.inputs)
         self.outputs = tuple(s.name for s in self.block.outputs)
@@ -383,7 +383,7 @@ def start_values(fmu: Path, texts: Sequence[str], fault: Callable[[str, str], Fa
             read = SWITCHES.get(written.lower(), written) if kind == "Boolean" else written
         try:
             if not (name and written):
-                raise ValueError("it is NAME=VALUE, as in gain=0.9")
+                raise ValueError("write NAME=VALUE, as in gain=0.9")
             values[name] = start_value(description, variables, name, read)
         except ValueError as error:
             message = f"{short(text)}: {error}"

@@ -39,12 +39,12 @@ def page(comparison: Comparison, study: Path, validity: Validity, *, passing: bo
     headline, *details = filter(None, split_sentence(sentence(comparison)))
     units = {v.name: v.unit or "" for v in about.modelVariables}
     measured = [f"{n} ({percent(float(np.isfinite(v).mean()))})" for n, v in log.outputs.items()]
-    steps = "as logged" if drive.variable_step else f"equal steps of {plain(log.step)} s, as the FMU demands"
+    steps = "as logged" if drive.variable_step else f"equal steps of {plain(log.step)} s, as the FMU requires"
     provenance = [
         Row("FMU", f"{about.modelName}\nguid {about.guid}", str(drive.fmu)),
         Row("Log", f"{log.rows} rows, t = {log.time[0]:.6g} … {log.time[-1]:.6g} s", str(log.path)),
         Row("Steps", steps),
-        Row("Measured", ", ".join(measured), "share of the rows"),
+        Row("Measured", ", ".join(measured), "share of rows with a reading"),
     ]
     if drive.free_inputs:
         provenance.append(Row("Not in the log", ", ".join(drive.free_inputs), "inputs at the start value of the FMU"))

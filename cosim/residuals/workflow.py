@@ -133,7 +133,8 @@ def replay(
         findings = gate(measured, drive.rate, drive.traits, {}, drive.starts)
         if claimed := _claimed_sensors(driven):
             message = (
-                f"{driven.name} has no {join_names(claimed)}, which the refine beside it claims; correct the readings"
+                f"refine.json claims {join_names(claimed)}, but {driven.name} has no sensor errors; correct the "
+                "readings"
             )
             findings.append(Finding("warning", SENSORS, "", message))
         refuse_faults(measured, findings)
@@ -229,11 +230,11 @@ def _next_study(folder: Path, fmu: Path | None, log: Path, columns: Mapping[str,
 
     lines = [HEAD, f"model: {written(fmu) if fmu else BASE}", "logs:"]
     lines.append(f"  estimation: [{written(log)}] # add more logs; co-simulation needs two")
-    lines.append("  validation: [] # logs that decide nothing and prove the result")
+    lines.append("  validation: [] # sealed logs, used once to check the result")
     if columns:
         lines.append(f"columns: {as_yaml(dict(columns))}")
     if start:
-        lines.append(f"# {', '.join(start)} of the replay: `cosim fit` takes such values as --start")
+        lines.append(f"# the replay used {', '.join(start)}; give these values to `cosim fit` as --start")
     return "\n".join(lines) + "\n"
 
 
