@@ -124,7 +124,7 @@ def test_a_copy_of_a_log_is_that_log(tmp_path: Path, tanks: dict[str, str], rewr
     (tmp_path / "e.csv").write_text(tanks["a.csv"])
     (tmp_path / "v.csv").write_bytes(rewrite(tanks["a.csv"].encode()))
     (fault,) = faults_of(study(tmp_path))
-    assert fault.startswith(":4:16: v.csv holds the same as e.csv, which is listed for estimation")
+    assert fault.startswith(":4:16: v.csv has the same content as e.csv under estimation")
 
 
 def test_another_run_is_another_log(tmp_path: Path, tanks: dict[str, str]) -> None:

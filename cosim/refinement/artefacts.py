@@ -17,7 +17,7 @@ ARTEFACTS = (
     ),
     Artefact(
         ANSWER,
-        "`cosim excite {file}` seeks the experiment that decides; check the study or model.yaml beside it",
+        "`cosim excite {file}` designs an experiment that decides; `cosim check` takes its study or model.yaml",
         keys=(frozenset({"verdict", "candidates"}), frozenset({"finished", "candidates"})),
         verb="cosim refine",
         marks=("refine.json",),
@@ -30,7 +30,7 @@ ARTEFACTS = (
             "report.html",
         ),
         folder="the folder of a refine",
-        folder_step="`cosim build --model {file}` builds its model, `cosim excite {file}` seeks the experiment "
+        folder_step="`cosim build --model {file}` builds its model, `cosim excite {file}` designs an experiment "
         "that decides",
         reader="cosim.refinement.refinement:read_refined",
     ),

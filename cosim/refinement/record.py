@@ -431,11 +431,11 @@ def _reason(claims: Claims, h: Hypothesis, behind: float) -> str:
     """
     parts, decision = h.key, claims.decision
     if decision.is_rival(parts):
-        return f"a rival: probability {percent(decision.rivals[parts - decision.aside])}"
+        return f"rival, probability {percent(decision.rivals[parts - decision.aside])}"
     if claims.claimed is not None and parts == claims.claimed.key and claims.name != "ambiguous":
         return "claimed"
     if parts == decision.nearest:
         return "nothing more is missing" if claims.name == "no_effect" else "most probable, but not claimed"
     if not h.ended:
-        return "screened: the logs speak against it"
+        return "excluded by a preliminary fit"
     return f"e^{behind:.1f} times less probable than {text_of(claims.tried[0][0].key)}"

@@ -218,7 +218,7 @@ def read_study(path: Path, limits: str = "") -> Study:
     if content.model.lower().endswith(FMU_SUFFIX):
         return _of_fmu(yaml, content, faults)
     if content.terms:
-        message = f"terms are for an FMU, and {content.model} is none; a model lists its effects in its catalogue"
+        message = f"terms are for an FMU, but {content.model} is not an FMU; a model lists its effects in its catalogue"
         faults.append(yaml.fault(("terms",), message, key=True))
     try:
         loaded = load_model(content.model, path.parent, yaml)
@@ -259,7 +259,7 @@ def read_parts_of_fmu(
     folder = yaml.path.parent
     fmu = folder / content.model
     if not fmu.is_file():
-        message = f"{content.model}: no such file; model names the FMU, relative to the study"
+        message = f"{content.model}: no such file; give the path of the FMU relative to the study"
         raise InputError([*faults, yaml.fault(("model",), message)])
     logs, terms = list[Log](), list[type[Any]]()
     for part, k, name in _entries(content.logs):
@@ -295,8 +295,8 @@ def _of_fmu(yaml: YamlFile, content: StudyFile, faults: list[Fault]) -> Study:
     if probed.structure.way == "co-simulation" and probed.own_step:
         step, own = probed.structure.step, f"{probed.own_step.length:.3g} s"
         message = (
-            f"{content.model} has no usable model exchange ({probed.reason}), and its co-simulation takes steps of its "
-            f"own of about {own}, above the {step:.3g} s of the logs, so its results are wrong there; export it for "
+            f"{content.model} has no usable model exchange ({probed.reason}), and its co-simulation has an internal "
+            f"step of about {own}, above the step {step:.3g} s of the logs, so its results are wrong; export it for "
             f"model exchange or with a shorter step, or record rows every {own}"
         )
         raise InputError([yaml.fault(("model",), message)])
@@ -353,7 +353,7 @@ def _checked(places: Places, content: StudyFile, subject: Subject, faults: list[
         InputError: Every fault of the study and its logs.
     """
     if not subject.states:  # rows over time would say nothing more than any table
-        cure = "estimate its parameters with `cosim fit LOG --fmu FMU`, or give it the state that it lacks"
+        cure = "estimate its parameters with `cosim fit LOG --fmu FMU`, or add a state to the model"
         raise InputError([places.fault(("model",), f"{subject.title} has no states, so it cannot be refined; {cure}")])
     for key, signals in (("noise", subject.outputs), ("start_noise", subject.states)):
         if isinstance(places, YamlFile):
@@ -375,8 +375,8 @@ def _checked(places: Places, content: StudyFile, subject: Subject, faults: list[
             content_of.update(signal.encode() + b"\0" + np.where(np.isnan(values), np.nan, values).tobytes())
         if earlier := first.get(content_of.hexdigest()):
             other, purpose = earlier
-            message = f"{name} holds the same as {other}, which is listed for {purpose}"
-            message += "; keep one" if purpose == part else "; a validation log is never fitted on"
+            message = f"{name} has the same content as {other} under {purpose}"
+            message += "; keep one" if purpose == part else "; a validation log must differ from all estimation logs"
             faults.append(places.fault(("logs", part, k), message))
         first.setdefault(content_of.hexdigest(), (name, part))
         spikes = find_spikes(log, subject.prediction(log))
@@ -385,7 +385,7 @@ def _checked(places: Places, content: StudyFile, subject: Subject, faults: list[
         log = drop_outliers(log, spikes)
         warnings += [
             (
-                f"{name}: {counted(rows.size, 'reading')} of {output} left out as outlying, far from the "
+                f"{name}: {counted(rows.size, 'reading')} of {output} ignored as outliers, far from "
                 "neighbouring readings and from the model"
             )
             for output, rows in spikes.items()
@@ -396,7 +396,8 @@ def _checked(places: Places, content: StudyFile, subject: Subject, faults: list[
             longest = plain(max(float(s.time[-1] - s.time[0]) for s in parts))
             duration = f"{longest} s" if len(parts) == 1 else f"at most {longest} s without a pause"
             message = (
-                f"lasts {duration}, too short to be judged: it takes {plain(least, None)} s; log longer or leave it out"
+                f"lasts {duration}; a log needs at least {plain(least, None)} s: record a longer log, or remove this "
+                "one"
             )
             faults.append(Fault(log.path, 0, 0, message))
         warnings += [
@@ -404,7 +405,7 @@ def _checked(places: Places, content: StudyFile, subject: Subject, faults: list[
         ]
         warnings += [Note(f"{name}: {text}") for text in log.assumed]
         if count := len(parts) - len(usable):
-            warnings.append(f"{name}: {counted(count, 'piece')} between pauses too short to be used")
+            warnings.append(f"{name}: {counted(count, 'piece')} between pauses not used, because too short")
         logs += usable if part == "estimation" else []
     refuse(faults)
     return Study(None, content, subject, tuple(logs), tuple(warnings))
@@ -419,7 +420,7 @@ def _entries(logs: LogLists) -> list[tuple[str, int, str]]:
 def _check_exists(places: Places, part: str, k: int, name: str) -> None:
     """Raise InputError for a log that is missing."""
     if not os.path.exists(places.path.parent / name):
-        message = f"{name}: no such file beside the study; its logs are named from there"
+        message = f"{name}: no such file; give paths of logs relative to the folder of the study"
         raise InputError([places.fault(("logs", part, k), message)])
 
 
@@ -454,7 +455,7 @@ def _key_faults(places: Places, content: StudyFile, subject: Subject) -> Iterato
                 yield places.fault((key, name), f'no {kind} "{name}"{did_you_mean(name, names)}', key=True)
     candidates = [c.name for c in subject.candidates(inputs)]
     if content.candidates == []:
-        yield places.fault(("candidates",), "names none; name some, or leave the key out to try all")
+        yield places.fault(("candidates",), "the list is empty; name candidates, or remove the key to try all")
     for k, name in enumerate(content.candidates or ()):
         if name not in candidates:
             yield places.fault(("candidates", k), f'no candidate "{name}"{did_you_mean(name, candidates)}')
@@ -463,7 +464,7 @@ def _key_faults(places: Places, content: StudyFile, subject: Subject) -> Iterato
     if not content.logs.estimation:
         message = "no log is listed; list one"
         if content.logs.validation:
-            message = "every log is sealed, and none is left to learn from; move one to estimation"
+            message = "there are only validation logs; move at least one to estimation"
         yield places.fault(("logs", "estimation"), message)
 
 
@@ -483,11 +484,11 @@ def _per_log_faults(places: Places, content: StudyFile, subject: Subject) -> Ite
     names, logs, folder = content.per_log, content.logs, places.path.parent
     if names is None:
         if content.groups:
-            message = "groups, but no parameter per log; say with per_log which parameters differ between them, or "
-            yield places.fault(("groups",), f"{message}leave the groups out", key=True)
+            message = "groups need parameters per log; name under per_log the parameters that differ, or remove groups"
+            yield places.fault(("groups",), message, key=True)
         return
     if not names:
-        yield places.fault(("per_log",), "names none; name some, or leave the key out", key=True)
+        yield places.fault(("per_log",), "the list is empty; name parameters, or remove the key", key=True)
     group = group_of(folder, [*logs.estimation, *logs.validation], content.groups)
     estimated = {group[folder / f] for f in logs.estimation}
     alone = [f for f in logs.validation if group[folder / f] not in estimated]
@@ -503,23 +504,23 @@ def _per_log_faults(places: Places, content: StudyFile, subject: Subject) -> Ite
             message = f'no parameter "{name}" of the model or of its sensors{hint}'
             if name in subject.declared and not isinstance(subject.declared[name].default, bool):
                 message = (
-                    f"{name} acts nowhere in the model; an effect that the model lacks is a candidate, so leave "
-                    f"{name.partition('.')[0]} out"
+                    f"the model does not have {name.partition('.')[0]}; a missing effect is a candidate, so remove "
+                    f"{name}"
                 )
             yield places.fault(place, message)
             continue
         if full in full_names:
-            yield places.fault(place, f"{name} stands there twice; keep one")
+            yield places.fault(place, f"{name} is listed twice; keep one")
         elif alone and full in subject.inestimable:
-            message = f"{name} needs a value for {alone[0]}, which no log of estimation gives, and the filter cannot "
-            message += f"estimate it during a run; put {alone[0]} in a group with a log of estimation"
+            message = f"{name} needs a value for {alone[0]}, whose group has no estimation log, and the filter cannot "
+            message += f"estimate it during a run; put {alone[0]} in a group with an estimation log"
             yield places.fault(place, message)
         full_names.add(full)
     for k, name in enumerate(content.candidates or ()):
         if ({n for n in subject.declared if n.startswith(f"{name}.")} or {name}) <= full_names:
             yield places.fault(
                 ("candidates", k),
-                f"{name} is per log too; one per log is free in every hypothesis; name it in one place",
+                f"{name} is also listed under per_log, and therefore estimated in every hypothesis; remove one",
             )
 
 
@@ -529,18 +530,16 @@ def _group_faults(places: Places, content: StudyFile) -> Iterator[Fault]:
     paths = {os.path.realpath(folder / f) for f in files}
     for group, members in content.groups.items():
         if group in files:
-            yield places.fault(
-                ("groups", group), f'a group with the name of the log "{group}"; call it otherwise', key=True
-            )
+            yield places.fault(("groups", group), f'group "{group}" has the name of a log; rename it', key=True)
         if not members:
-            yield places.fault(("groups", group), f"{group} holds no log; name some, or leave it out", key=True)
+            yield places.fault(("groups", group), f"{group} has no log; list its logs, or remove it", key=True)
         for k, name in enumerate(members):
             path, place = os.path.realpath(folder / name), ("groups", group, k)
             if path not in paths:
                 yield places.fault(place, f"{name} is not listed under logs{did_you_mean(name, files)}")
             elif path in owner:
                 where = "twice" if owner[path] == group else f"in {owner[path]} too"
-                yield places.fault(place, f"{name} stands {where}; a log has one group, keep one")
+                yield places.fault(place, f"{name} is listed {where}; keep one, because a log has one group")
             owner.setdefault(path, group)
 
 
@@ -576,13 +575,13 @@ def check_study(path: Path, checking: Checking) -> list[str]:
     found.append(Note(f"`cosim refine` will try {count} terms and parameters at {place}"))
     if subject.is_stepped and len({log.path for log in study.logs}) < FEWEST_STEPPED:
         found.append(
-            f"warning: co-simulation has free runs only, so at least {FEWEST_STEPPED} estimation logs are needed to "
-            "judge a claim"
+            f"warning: co-simulation can only simulate whole logs, so a claim needs at least {FEWEST_STEPPED} "
+            "estimation logs"
         )
     if not logs.validation:
         many = counted(len(logs.estimation), "log")
         found.append(
-            Note(f"no validation log: a claim from {many} will not be proven on data that no decision has used")
+            Note(f"no validation log: a claim from {many} will not be checked on data that no decision has used")
         )
     return found
 
@@ -599,7 +598,7 @@ def untested_effects(study: Study) -> list[str]:
         left_out = sorted(possible - {c.name for c in subject.candidates(study.varied)})
         untested += [f"{join_names(left_out)} (constant in all logs: {join_names(still)})"] if left_out else []
     if named is not None:
-        untested.append(f"effects beside the {counted(len(named), 'candidate')} that the study names")
+        untested.append(f"effects other than the {counted(len(named), 'candidate')} in the study")
     return untested
 
 
@@ -622,12 +621,12 @@ def _untested_of_fmu(subject: FmuSubject, logs: Sequence[Log], still: Sequence[s
         ("sensor errors of outputs that no log has ({})", [q.name for q in s.outputs if names[q.name] not in logged]),
         ("parameters that change no output ({})", [p.name for p in s.parameters if not (p.acts or p.starts)]),
         (
-            "forces where no input acts, in co-simulation ({})",
+            "forces at velocities that no input drives, in co-simulation ({})",
             [p.velocity for p in s.pairs if subject.is_stepped and not p.ports],
         ),
-        ("dry friction in contrast to a constant force, where the velocity never reverses ({})", one_way),
+        ("dry friction as opposed to a constant force, where the velocity never reverses ({})", one_way),
     ):
         if places:
             yield text.format(join_names(places))
     if not s.pairs:
-        yield "friction and other forces (no output is recognised as a position or its rate)"
+        yield "friction and other forces (no output is a position or velocity)"

@@ -124,7 +124,7 @@ def refine(
     with showing({"display": subject.display}):
         try:
             search = attribute(subject, problem, _candidates(study), limited)
-            limited("weighing what was found", 0.0)
+            limited("computing posterior probabilities", 0.0)
             claims = claims_of(study, search, limited)
         except TimedOut:
             remove_earlier(folder, read=study.files)
@@ -234,7 +234,7 @@ class _Limited(Watcher):
         if self.total is not None and time.perf_counter() - self.start > self.total:
             reason = (
                 f"the limit of {self.total:g} s (limits: total) is reached at {stage!r}; {ANSWER} has the hypotheses "
-                "so far and no verdict: allow more time, or name fewer candidates"
+                "so far, but no verdict: allow more time, or name fewer candidates"
             )
             raise TimedOut("the search", 0.0, reason)
         self.progress(stage, share)
@@ -267,7 +267,7 @@ def _with_predictable_horizon(study: Study, problem: Problem) -> Study:
     subject.horizon = shorter
     warning = (
         "errors of the start state grow exponentially in these logs. Predictions therefore last "
-        f"{plain(shorter, 2)} s, in which these errors grow tenfold, and not the model's {horizon_name(horizon)}"
+        f"{plain(shorter, 2)} s, in which these errors grow tenfold, instead of the model's {horizon_name(horizon)}"
     )
     return replace(study, subject=subject, warnings=(*study.warnings, warning))
 
@@ -283,8 +283,8 @@ def _divergences(study: Study, problem: Problem) -> Iterator[Fault]:
             continue
         t = data.start + data.step * int(np.argmax(diverged.any(axis=1)))
         message = (
-            f"{study.subject.title} runs away on this log: its prediction is not finite at t = {t:g} s; check its "
-            "parameters, start values and the units of the log, or state a shorter substep in its class"
+            f"{study.subject.title} diverges on this log: its prediction is not finite at t = {t:g} s; check its "
+            "parameters, start values and the units of the log, or set a shorter substep in its class"
         )
         yield Fault(log.path, 0, 0, message)
 
@@ -319,7 +319,7 @@ def failure_warnings(problem: Problem) -> Iterator[str]:
     failures: Sequence[Exception] = getattr(problem.kernel, "failures", ())
     if failures:
         evaluations = counted(len(failures), "evaluation")
-        yield f"the FMU failed in {evaluations}, which count as diverged; the first time: {failures[0]}"
+        yield f"the FMU failed in {evaluations}, which count as diverged; the first failure: {failures[0]}"
 
 
 def _proof_warnings(variants: Mapping[str, Variant], way: Replays, floors: Floors, played: Replayed) -> Iterator[str]:
@@ -329,10 +329,10 @@ def _proof_warnings(variants: Mapping[str, Variant], way: Replays, floors: Floor
     for names in dict.fromkeys(s.missing_platforms for s in subjects if s.missing_platforms):
         yield (
             f"the delivered FMU lacks the platforms {join_names(names)} of the original: the library around it "
-            "cannot be compiled for them here; pip install 'fmu-cosim[native]' has a compiler for most"
+            "cannot be compiled for them here; pip install 'fmu-cosim[native]' installs a compiler for most"
         )
     if way.through == "python" and way.log:
-        yield f"the native FMU of the model is not used: {way.why}; every error is that of FMUs in Python"
+        yield f"the native FMU of the model is not used: {way.why}; all errors are measured with FMUs in Python"
     subject, delivered = subjects[0], [name for name in ("after", "nearest") if name in played]
     for part, floor in floors.items():
         errors = [rmse(played[name][part][subject.horizon]) for name in delivered]

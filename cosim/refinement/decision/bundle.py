@@ -601,8 +601,8 @@ def between_rows(problem: Problem, base: Hypothesis) -> OtherInputs:
     ways = [("interpolated", "held") if name in ramped else ("held", "interpolated") for name in names]
     setting = f"{{{', '.join(f'{name}: {other}' for name, (_, other) in zip(names, ways, strict=True))}}}"
     setting = ways[0][1] if len(set(ways)) == 1 else setting
-    inputs = join_names([f"{name} is taken as {way}" for name, (way, _) in zip(names, ways, strict=True)])
-    warning = f"between rows {inputs}; the other way {clearly}: if the rig commands its inputs that way, "
+    inputs = join_names([f"{name} is assumed to be {way}" for name, (way, _) in zip(names, ways, strict=True)])
+    warning = f"between rows, {inputs}. The other way {clearly}; if the rig commands its inputs that way, "
     return OtherInputs(gain, f"{warning}write `inputs: {setting}` in the study")
 
 
@@ -626,9 +626,9 @@ def late_input(problem: Problem, best: Hypothesis) -> OtherInputs | None:
             if not clearly or (late is not None and gain <= late.gain):
                 break
             warning = (
-                f"{name} taken {counted(rows, 'row')} earlier than recorded {clearly}: its column may lag, as behind a "
-                "filter or a sensor of its own, which no candidate describes; log the input before the filter, or "
-                f"move its column {plain(rows * step)} s earlier and refine again"
+                f"shifting {name} by {counted(rows, 'row')} to earlier times {clearly}: its column may lag, as after a "
+                "filter, which no candidate describes; log the input before the filter, or move its column "
+                f"{plain(rows * step)} s earlier and refine again"
             )
             late, rows = OtherInputs(gain, warning), 2 * rows
     return late
@@ -641,4 +641,4 @@ def _gain_of(problem: Problem, h: Hypothesis, other: Problem) -> tuple[float, st
     gain, steady = h.fit.objective - refit.objective, steadiness(problem, refit, h.fit, other)
     if gain <= float(logit(CERTAIN)) or float(ndtr(-steady)) >= MISFIT:
         return gain, ""
-    return gain, f"raises the log-likelihood of the logs by {plain(gain)}, {plain(steady, 2)} times its scatter"
+    return gain, f"raises the log-likelihood by {plain(gain)}, {plain(steady, 2)} times its standard deviation"

@@ -63,8 +63,8 @@ from cosim.residuals.residual_statistics import COUNTS_FROM
 
 DEFAULT_EXPERIMENT = "larger and broader commands on all inputs, one at a time and together"
 NO_EFFECT = "no_effect"
-NOTHING = "Nothing is missing: the model, recalibrated, explains these logs down to the sensors' noise."
-DISTURBED = "Nothing is missing: what the model does not explain is a disturbance that follows no signal."
+NOTHING = "Nothing is missing: the recalibrated model explains these logs down to sensor noise."
+DISTURBED = "Nothing is missing: the remaining error is a disturbance that follows no signal."
 OPENINGS = {"effect": "the model lacks", "parameter": "the model has a wrong", "sensor": "the sensors have"}
 
 
@@ -155,9 +155,9 @@ def _answer_texts(c: Claims, subject: Subject) -> Iterator[str]:
     claim, *details = _claim_texts(c, c.claimed, subject) if c.claimed is not None else ("",)
     if c.name == "ambiguous":
         names = join_names(c.hidden)
-        weak = [f"these logs excite too little: {names} would not show in them, present or not."]
+        weak = [f"these logs have too little excitation to detect {names}."]
         parts = [reason.removeprefix("interval: ") for reason in reasons if reason.startswith("interval: ")]
-        refusals = [f"intervals contain the values without {join_names(parts)}."] if parts else []
+        refusals = [f"the intervals of {join_names(parts)} contain the values without effect."] if parts else []
         undecided = [_rivals_text(c)] if not refusals or sum(p > 0.0 for p in rivals.values()) > 1 else []
         first, *others = weak if "nothing would show" in reasons else [*undecided, *refusals]
         yield _joined(claim, first)
@@ -167,14 +167,14 @@ def _answer_texts(c: Claims, subject: Subject) -> Iterator[str]:
         sizes = [f"{percent(share)} of the derivative of {name}" for name, share in c.moves.items()]
         yield f"{DISTURBED} Its size: {join_names(sizes)}." if sizes else NOTHING
         if c.hidden:
-            yield f"These logs would not show {join_names(c.hidden)}."
+            yield f"These logs have too little excitation to detect {join_names(c.hidden)}."
         moved = [
             f"{f.name} {plain(f.prior[0])} → {plain(c.base.fit.values[f.name])}"
             for f in c.base.fit.free
             if f.prior and abs(c.base.fit.values[f.name] - f.prior[0]) > WIDTHS * f.prior[1]
         ]
         if moved:
-            yield f"That holds with base parameters beyond their tolerances: {join_names(moved)}."
+            yield f"This requires base parameters outside their tolerances: {join_names(moved)}."
     elif c.name == "unexplained":
         yield f"No effect was confirmed: {_unexplained_text(c)}."
         if c.decision.nearest:
@@ -184,7 +184,7 @@ def _answer_texts(c: Claims, subject: Subject) -> Iterator[str]:
     yield from details
     chances = [f"{n} ({percent(p)})" for n, p in c.decision.uncertain.items()]
     if c.claimed is not None and c.name != "ambiguous" and chances:
-        yield f"Possible beside this, with its probability: {join_names(chances)}."
+        yield f"Also possible, with this probability: {join_names(chances)}."
 
 
 def _joined(first: str, second: str) -> str:
@@ -204,7 +204,7 @@ def _claim_texts(c: Claims, best: Hypothesis, subject: Subject) -> list[str]:
         parts += [f"{opening} {join_names(texts)}"] if names else []
     each = [f"{name}: {', '.join(estimates)}." for name, estimates in values.items()] if is_long else []
     if not best.fit.converged:
-        each.append("The fit was still moving when it ended: these intervals are too narrow.")
+        each.append("The fit did not converge: these intervals are too narrow.")
     return [f"{_joined('', '; '.join(parts))}.", *each]
 
 
@@ -251,13 +251,13 @@ def _unexplained_text(c: Claims) -> str:
         return text
     if "unknown inputs" in c.decision.reasons:
         name = max(c.moves, key=lambda n: c.moves[n])
-        return f"an unknown input of {percent(c.moves[name])} of the derivative of {name} remains and follows no signal"
+        return f"a disturbance of {percent(c.moves[name])} of the derivative of {name} remains and follows no signal"
     if over.get(channel, 0.0) <= COUNTS_FROM:
-        return "terms without a name improve the fit, but show no stable pattern"
+        return "unmodelled dynamics remain, but follow no stable pattern"
     if math.isinf(over[channel]):
-        return f"replays with the most probable hypothesis run away in {channel}"
+        return f"with the most probable hypothesis, replays of {channel} diverge"
     return (
-        f"replays with the most probable hypothesis miss {channel} by {plain(over[channel], 2)} times the noise floor"
+        f"with the most probable hypothesis, the error of {channel} is {plain(over[channel], 2)} times its noise floor"
     )
 
 
@@ -282,12 +282,12 @@ def _dependence_text(c: Claims) -> str:
     place, width = amount(shape.place, shape.unit), amount(shape.width, shape.unit, 2)
     by = f", times {shape.factor}" if shape.factor else ""
     if shape.kind == "spline":
-        return f"follows {signal}{by}, by no simple law"
+        return f"follows {signal}{by}, but no simple law"
     if shape.kind == "step" and abs(shape.place) < shape.width:
         like = ", as dry friction would" if shape.unit in {"m/s", "rad/s"} and not by else ""
         return f"follows the sign of {signal}{by}{like}"
     ways = {"step": f" and changes at {place}", "wave": f" and repeats every {width}"}
-    return f"follows {signal}{ways.get(shape.kind, f', most near {place} (width {width})')}{by}"
+    return f"follows {signal}{ways.get(shape.kind, f', mainly near {place} (width {width})')}{by}"
 
 
 def _remark_texts(c: Claims, remaining: NamedValues, file: str, nearest: str) -> Iterator[str]:
@@ -295,14 +295,14 @@ def _remark_texts(c: Claims, remaining: NamedValues, file: str, nearest: str) ->
     misfit = c.decision.misfit
     if c.decision.disputed and c.name != "unexplained":
         disputed = join_names(sorted(c.decision.disputed))
-        yield f"Not claimed, since the model also lacks something without a name: {disputed}."
+        yield f"Not claimed, because unmodelled dynamics remain: {disputed}."
     is_lacking = misfit.probability < MISFIT or not c.residual["signals"]
     if c.claimed is not None and is_lacking and (text := _misfit_text(c)):
-        yield f"Something remains beside this: {text}."
+        yield _joined("", f"{text}.")
     if c.grade == "part" and c.name != "ambiguous" and misfit.remains > LITTLE:
         channel = max(misfit.remaining, key=lambda n: misfit.remaining[n])
         rest = percent(misfit.remaining[channel]) if misfit.remaining[channel] < 1.0 else "all"
-        yield f"This explains only a part of the error: {rest} of the excess error of {channel} remains in replays."
+        yield f"In replays, {rest} of the error of {channel} above the noise floor remains."
     if remaining:
         share = sum(remaining.values()) / len(remaining)
         who = f"{file}, the recalibrated model," if c.name == NO_EFFECT else file
@@ -311,15 +311,15 @@ def _remark_texts(c: Claims, remaining: NamedValues, file: str, nearest: str) ->
         removes = percent(1.0 - share) if share < 1.0 else "nothing"
         yield f"{who} removes {removes} of the given model's squared error above the noise floor on sealed logs."
     for names in c.equivalent:
-        yield f"{' or '.join(names)}: these {'two' if len(names) == 2 else len(names)} act alike for every input."
+        yield f"{' or '.join(names)}: no input can separate these {'two' if len(names) == 2 else len(names)}."
     for (rich, simple), probability in c.decision.not_excluded.items():
-        yield f"These logs do not exclude {rich} in place of {simple} ({percent(probability)})."
+        yield f"These logs do not exclude {rich} in place of {simple} (probability {percent(probability)})."
     if c.grade != "claimed" and c.name != NO_EFFECT:
         more = "" if c.nearest is None else ", recalibrated"
         if c.nearest is not None and c.nearest.names:
             more = f" with {join_names(c.nearest.names)}"
-        told = "is the most probable model that predicts held-out logs no worse than the given one"
-        yield f"{nearest} {told}: the given one{more}."
+        told = "is the most probable model that predicts held-out logs no worse than the given model"
+        yield f"{nearest} {told}: the given model{more}."
 
 
 def error_text(subject: Subject, channel: str, error: float, like: float) -> str:
@@ -353,10 +353,10 @@ def floor_warning(part: str, channels: Mapping[str, tuple[float, float]], subjec
     Args:
         channels: Channel → floor and error.
     """
-    pairs = [f"{name} {error} under {floor}" for name, (floor, error) in _sizes(channels, subject).items()]
+    pairs = [f"{name} {error}, floor {floor}" for name, (floor, error) in _sizes(channels, subject).items()]
     logs = "sealed" if part == "validation" else "estimation"
     return (
-        f"on the {logs} logs the error is below its noise floor ({', '.join(pairs)}). These logs hold less noise "
+        f"on the {logs} logs the error is below its noise floor ({'; '.join(pairs)}). These logs contain less noise "
         "and disturbance than was estimated, so the floor does not apply to them"
     )
 
@@ -374,7 +374,7 @@ def claims_of(study: Study, search: Search, progress: Progress) -> Claims:
     first = decide(bundle)
     base, best = search.tried[frozenset()], search.tried[first.nearest]
     units = signal_units(subject)
-    progress("looking for what has no name", 0.0)
+    progress("searching for unmodelled dynamics", 0.0)
     kernel = subject.kernel(search.problem.layout.outputs, unnamed=True, constant=study.settings.per_log)
     values = {**dict.fromkeys(kernel.layout.parameters, 0.0), **search.problem.values}
     nameless = replace(search.problem, kernel=kernel, values=values, sensing=best.fit.noise)
@@ -387,7 +387,7 @@ def claims_of(study: Study, search: Search, progress: Progress) -> Claims:
     residual["changing"] = {name: change for name, (change, p) in changing.items() if p < MISFIT}
     inflated = [name for name, entry in residual["process_noise"].items() if entry["inflated"]]
     moves = {n: share for n, share in unknown_inputs(search.problem, best.fit, units).items() if n in inflated}
-    progress("replaying with the claim and without", 0.0)
+    progress("replaying with and without the claim", 0.0)
     beside = {}
     if leftover.fit is not None and best.candidates:
         beside = beside_unnamed_terms(search, best, leftover.fit, first.dispersion, len(bundle.kinds))

@@ -63,10 +63,10 @@ from cosim.scenario.scenario_file import sha256
 TEMPLATE = Path(__file__).with_name("templates") / "refine.html.j2"
 TONES: Mapping[str, str] = {"ambiguous": "warn", "unexplained": "bad"}  # of the other verdicts: good
 DISPERSED = 2.0  # dispersion κ from which the page says that no hypothesis fits
-INTERVALS = "Bar: 95 % interval; dashed line: the value before. Of one log, intervals do not show how logs differ."
+INTERVALS = "Bar: 95 % interval; dashed line: value before. With only one log, intervals omit differences between logs."
 TOLERANCE = (
-    "± is the tolerance of the data sheet; a parameter is wrong only if its whole interval lies outside the tolerance. "
-    "Beside sensor errors alone, the model keeps its values."
+    "± is the tolerance of the data sheet; a parameter is wrong only if its whole interval is outside the tolerance. "
+    "If all claims are sensor errors, the model keeps its values."
 )
 TableRows = list[dict[str, Any]]
 PARTS: Mapping[Part, str] = {"estimation": "Logs used for the fits", "validation": "Sealed logs"}
@@ -156,13 +156,13 @@ def _next_step(r: Refinement) -> tuple[str, str]:
     """Return what to do next, and the command for it."""
     folder, subject = path_from_here(r.folder), r.study.subject
     if r.verdict.name == "ambiguous":
-        step = f"Record a log with {r.verdict.experiment}. To design the input, and see if it would decide:"
+        step = f"Record a log with {r.verdict.experiment}. To design its input, and to see whether it would decide:"
         return step, command("cosim", "excite", str(folder))
     if r.verdict.name == "unexplained":
         own = "Add an effect of your own to the model"
         if subject.probed:
             own = "Add a term of your own (`terms:` of the study)"
-            own += ", or take an FMU for model exchange" if subject.untried else ""
+            own += ", or use an FMU for model exchange" if subject.untried else ""
         return f"{own}, and repeat the study:", _repeat(r)
     is_nearest = r.verdict.claimed is None and r.verdict.nearest is not None
     name: Literal["refined", "nearest"] = "nearest" if is_nearest else "refined"
@@ -201,7 +201,7 @@ def _provenance(r: Refinement) -> list[Row]:
     is_stated = any(subject.values[n] != float(p.default) for n, p in subject.sensor_parameters.items())
     if is_stated or any(c.kind == "sensor" for c in (claim.candidates if claim else ())):
         place = "refine.json" if subject.probed else "model.yaml"
-        rows.append(Row("Sensors", f"errors stand in {place}; the FMU says what is there, not what is read"))
+        rows.append(Row("Sensors", f"sensor errors are in {place}; the FMU computes true outputs, not readings"))
     return [*rows, Row("Made by", f"cosim {__version__}, Python {platform.python_version()}, numpy {np.__version__}")]
 
 
@@ -239,7 +239,7 @@ def posterior_rows(r: Refinement) -> TableRows:
         outcome, variant = delivered.get(names, ("", "" if names else "recalibrated"))
         rival = "rival" if r.verdict.decision.is_rival(names) else ""
         row = {
-            "names": " + ".join(entry["names"]) or "nothing: the model recalibrated",
+            "names": " + ".join(entry["names"]) or "nothing: recalibrated model",
             "share": probability,
             "why": ", ".join(filter(None, (rival, outcome))),
             "error": held_out.get(names, MISSING),
@@ -260,9 +260,9 @@ def _sealed_ratio(errors: Mapping[str, Any], variant: str) -> float:
 def inclusion_rows(r: Refinement) -> TableRows:
     """Return the probable parts, most probable first, with what became of them."""
     decision, rows = r.verdict.decision, list[dict[str, Any]]()
-    withdrawn = dict.fromkeys(decision.disputed, "the model also lacks something without a name")
+    withdrawn = dict.fromkeys(decision.disputed, "unmodelled dynamics remain")
     for reason, _, name in (text.partition(": ") for text in decision.reasons):
-        withdrawn.setdefault(name, "its interval holds the value without it" if reason == "interval" else "")
+        withdrawn.setdefault(name, "its interval contains the value without effect" if reason == "interval" else "")
     for name, probability in sorted(decision.inclusion.items(), key=lambda item: -item[1]):
         if probability < 1.0 - CERTAIN:
             continue
@@ -394,8 +394,8 @@ def second_sentence(r: Refinement) -> str:
     verb = "fell" if sizes["after"] < sizes["before"] else "rose"
     text = f"{where} the error of {name} over {horizon(r)} {verb} from {shown['before']} to {shown['after']}"
     if r.verdict.claimed is None:
-        text = f"{where} the given model misses {name} by {shown['after']} over {horizon(r)}"
-        text += f", the nearest model by {shown['nearest']}" if sizes["nearest"] < sizes["after"] else ""
+        text = f"{where} the error of {name} over {horizon(r)} is {shown['after']} with the given model"
+        text += f", {shown['nearest']} with the nearest model" if sizes["nearest"] < sizes["after"] else ""
     return f"{text}." if math.isnan(sizes["floor"]) else f"{text}; the noise floor is {shown['floor']}."
 
 
@@ -676,11 +676,11 @@ def _sentence(s: EffectComparison) -> str:
     """Return a sentence on a term's share."""
     if s.term is None:
         return f"The {s.quantity} is drawn against {s.against.name}, which it follows most"
-    text = f"Of the mean square {s.quantity}, {s.effect} explains {percent(s.share)}"
+    text = f"{s.effect} explains {percent(s.share)} of the mean square {s.quantity}"
     if s.kind == "sensor":
-        return f"{text}; the rest is the noise of the sensor"
+        return f"{text}; the rest is sensor noise"
     estimated, term = (np.array([v[rows].mean() for rows in _bins(s.against.values)]) for v in (s.estimated, s.term))
-    return f"{text} row by row, and {percent(_explained(estimated, term))} of means over {s.against.name}"
+    return f"{text} in single rows, and {percent(_explained(estimated, term))} in means over {s.against.name}"
 
 
 def _plots(s: EffectComparison, charts: Charts) -> list[Plot]:

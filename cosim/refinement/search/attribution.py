@@ -90,9 +90,9 @@ class Attributor(Search):
         best = self.tried[base.key]
         while proposed := self._proposals(best):
             is_first = len(self.tried) == 1
-            stage = "trying every effect, sensor and parameter" if is_first else "looking for what is missing beside"
+            stage = "trying every effect, sensor and parameter" if is_first else "searching for further candidates"
             fitted = self.fit_all(proposed, best, stage)
-            self.fit_all(self._reductions(fitted), best, "leaving out what does nothing")
+            self.fit_all(self._reductions(fitted), best, "removing candidates without effect")
             self._rescore()
             before, best = self.tried[best.key].score, best_hypothesis(self.tried.values())
             if best.score > before - DONE * self.problem.scatter:
@@ -179,7 +179,7 @@ class Attributor(Search):
         self.candidates, periods = with_likely_periods(test, every, best.names)
         if periods:
             self._pose(values={**self.problem.values, **periods})
-        self.progress("asking what every candidate promises", 0.0)
+        self.progress("predicting the gain of every candidate", 0.0)
         terms: list[Terms] = in_parallel(test.terms, list(self.candidates))
         for t in terms:
             name = t.candidate.name
@@ -240,7 +240,7 @@ class Attributor(Search):
 
     def _finish(self, base: Hypothesis, best: Hypothesis) -> None:
         """Fit the best hypotheses, and those around them, to convergence with full substeps."""
-        self.progress("fitting the best to the end", 0.0)
+        self.progress("finishing the best fits", 0.0)
         enough = zip(self.problem.logs, coarsen(self.fine, best.fit.values).logs, self.fine.logs, strict=True)
         logs = [replace(log, substeps=max(base.substeps, other.substeps)) for base, other, log in enough]
         self.problem = replace(self.fine, logs=logs, sensing=best.fit.noise, scatter=self.problem.scatter)
@@ -295,7 +295,7 @@ class Attributor(Search):
             leading = ranked[: min(BREADTH, 1 + int(np.searchsorted(mass, CERTAIN)))]  # what a verdict would name
             probable = [parts for parts in leading if parts not in asked]
             asked.update(probable)
-            stage = "fitting the most probable again from other starts"
+            stage = "repeating the most probable fits from other start values"
             for h in self.fit_each(stage, self.from_the_prior, [ended[parts] for parts in probable]):
                 for start in self._neighbours(h, kappa):
                     starts.setdefault(key_of(start[0]), start)
@@ -389,7 +389,7 @@ def attribute(subject: Subject, problem: Problem, candidates: Sequence[Candidate
     free = Attributor(subject, problem, candidates, progress).run()
     if not any(gain > unknown_input_gain(problem) for gain in noise_gains(free.problem, free.best.fit)):
         return free
-    progress("predicting with the equations trusted", 0.0)
+    progress("predicting without process noise", 0.0)
     given = {h.key: (h, error(free, h)) for h in (free.tried[frozenset()], free.best)}
     trusted = with_equations_trusted(subject, problem)
     search = Search(subject, coarsen(trusted), len(candidates), progress)

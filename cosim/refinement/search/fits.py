@@ -229,7 +229,7 @@ class Search:
                 fitted = self.hypothesis(fitted.candidates, begin, loosen=False)
             return fitted
 
-        return self.fit_each("fitting what comes near the best", refit, starts)
+        return self.fit_each("fitting the rivals of the best", refit, starts)
 
     def fit_each(self, stage: str, fit_item: Callable[[Item], Hypothesis], todo: Sequence[Item]) -> list[Hypothesis]:
         """Fit items in parallel and report progress."""
