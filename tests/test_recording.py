@@ -71,7 +71,7 @@ def test_a_stopped_run_goes_on_to_the_same_bytes(walk: tuple[Path, Any, Any], tm
     again = stopped(scenario, tmp_path / "again", [PART])
     assert (again / "checkpoint" / "rows").is_file()
     plain = shutil.copytree(again, tmp_path / "plain", ignore=CHECKPOINT)  # as without the key
-    for folder, note in ((again, "goes on from"), (plain, "the run is made again from t = 0 s")):
+    for folder, note in ((again, "continues from"), (plain, "the run is repeated from t = 0 s")):
         said: list[str] = []
         run(folder, resume=True, report=False, tell=said.append)
         assert note in said[0]

@@ -201,11 +201,11 @@ class ScenarioFile:
                 yield where, f"{every:g} s is longer than the run, {s.duration:g} s; use a shorter time"
             elif not is_whole(steps):
                 near = " or ".join(f"{n * s.step:.6g} s" for n in (math.floor(steps), math.ceil(steps)) if n)
-                yield where, f"{every:g} s is no whole number of steps of {s.step:g} s; use for example {near}"
+                yield where, f"{every:g} s is not a whole number of steps of {s.step:g} s; use for example {near}"
         for kind, k, goal in s.every_goal:
             if (kind == "valid") != isinstance(goal, ValidCriterion):
                 where = ("criteria", kind, *(() if k is None else (k,)))
-                of_region = "valid takes a component and its least share of time, as in {of: plant, min: 0.95}"
+                of_region = "valid needs a component and its least share of time, as in {of: plant, min: 0.95}"
                 yield where, of_region if kind == "valid" else f"{kind} takes no min; give the largest value as max"
         for kind, k, criterion in s.goals:
             where = ("criteria", kind, *(() if k is None else (k,)))
@@ -230,7 +230,7 @@ class ScenarioFile:
             key = "min" if control.min > control.max else "max"
             yield ("step", key), f"{times}; min must not exceed max, and max must not exceed rows"
         if control.min < least:
-            yield ("step", "min"), f"min is {control.min:g} s, too short for the times of this run; give {least:.2g} s"
+            yield ("step", "min"), f"min is {control.min:g} s, too short for doubles at these times; give {least:.2g} s"
         if control.bonds and control.estimator not in (None, "energy"):
             yield ("step", "bonds"), f"bonds need estimator: energy, not {control.estimator}; remove one of them"
         if control.estimator == "energy" and not control.bonds:

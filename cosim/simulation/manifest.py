@@ -50,7 +50,7 @@ def check_pinned(file: ScenarioFile) -> None:
                 file.fault(
                     ("components", name, key),
                     f"{path} is not the {'FMU' if key == 'fmu' else 'file'} of this run: its SHA-256 differs; "
-                    "restore the file, or run the scenario with the present one",
+                    "restore the file, or run the scenario instead of the manifest",
                 )
             )
     refuse(faults)
@@ -134,7 +134,7 @@ def add_changes(record: dict[str, Any], scenario: Scenario, changes: Sequence[Ch
     record["changes"] = made
     record["warnings"].append(
         Note(
-            f"{counted(len(made), 'change')} made while it ran; the manifest holds them as events, so that it "
+            f"{counted(len(made), 'change')} made during the run; the manifest records them as events, so it "
             "repeats the run"
         )
     )

@@ -140,15 +140,15 @@ def _times(system: SspSystem, warnings: list[str], overrides: Set[str]) -> tuple
     assumed = []
     if stop is None:
         stop = start + max((e["stop"] for e in experiments if e.get("stop", 0.0) > 0.0), default=STOP)
-        assumed.append(("duration", f"no stopTime: {stop - start:g} s are run"))
+        assumed.append(("duration", f"no stopTime: the run lasts {stop - start:g} s"))
     duration = stop - start
     if step is None:
         step = min((e["step"] for e in experiments if e.get("step", 0.0) > 0.0), default=STEP)
-        assumed.append(("step", f"no communication step: {step:g} s is taken"))
-    warnings += [f"the SSP names {text}; --set {k}=… for another" for k, text in assumed if k not in overrides]
+        assumed.append(("step", f"no communication step: {step:g} s is used"))
+    warnings += [f"the SSP has {text}; change it with --set {k}=VALUE" for k, text in assumed if k not in overrides]
     count = duration / step
     if not is_whole(count):
         duration = math.ceil(count) * step if count < 1e15 else duration
         if overrides.isdisjoint({"duration", "step"}):
-            warnings.append(f"{duration:g} s are run, the next whole number of steps of {step:g} s after stopTime")
+            warnings.append(f"the run lasts {duration:g} s: stopTime is rounded up to whole steps of {step:g} s")
     return start, duration, step

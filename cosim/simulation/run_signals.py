@@ -259,5 +259,5 @@ def read_ran(path: Path) -> RecordedRun:
         return RecordedRun(path, run_name(path), results, manifest, tuple(warnings_on(path)))
     except FileNotFoundError:
         raise InputError.at(
-            path, "was removed while it was read; repeat the command with the results that are left"
+            path, "was removed while it was read; repeat the command with the remaining results"
         ) from None

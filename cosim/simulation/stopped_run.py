@@ -41,12 +41,12 @@ from cosim.system.events import is_exchange
 from cosim.system.system import System
 
 NOTHING_TO_RESUME = (
-    "no run is in it that could go on; `cosim run SCENARIO` begins one, `checkpoint: 60 s` keeps checkpoints"
+    "contains no stopped run; start one with `cosim run SCENARIO`, with `checkpoint: 60 s` to store checkpoints"
 )
 DAMAGED_CHECKPOINT = "the checkpoint is damaged: {reason}; run the scenario again from its start"
 OTHER_VERSION = (
-    "its run is of cosim {version}, and this is {own}: the same bytes cannot be promised; go on with that "
-    "version, or run the scenario again from its start"
+    "its run was started by cosim {version}, and this is {own}, which may compute other values; continue with "
+    "{version}, or run the scenario again from its start"
 )
 ROWS_OF_ANOTHER_RUN = (
     "the recorded rows do not match the checkpoint: a file in this folder was changed or removed; restore the folder, "
@@ -192,7 +192,7 @@ class StoppedRun:
             end, time_ = scenario.start_time + scenario.duration, self._results.time
             if len(time_) and time_[-1] >= end - rounding(end, scenario.step):
                 raise InputError.at(
-                    self.folder, f"its run is finished, at t = {end:g} s; --until T with a later time T extends it"
+                    self.folder, f"its run is finished, at t = {end:g} s; to extend it, give a later time as --until"
                 )
         return start
 

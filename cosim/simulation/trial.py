@@ -135,7 +135,7 @@ def _run_once(file: ScenarioFile, system: System, path: Path, worker: Worker) ->
         raise failure
     if failure is not None:
         code = failure.exit_code if isinstance(failure, errors.TimedOut) else FmuError.exit_code
-        cure = "; --no-load checks it without" if isinstance(failure, (errors.Crashed, errors.TimedOut)) else ""
+        cure = "; add --no-load to check without FMUs" if isinstance(failure, (errors.Crashed, errors.TimedOut)) else ""
         raise InputError.at(path, f"does not run: {failure}{cure}", code)
     return [*stepped.log]
 
@@ -163,8 +163,8 @@ class CouplingError:
         if self.stopped:
             return f"coupling error not known: with half the step {self.stopped}"
         sizes = ", ".join(f"{name} {value:.2g}" for name, value in self.of.items())
-        changes = f"{sizes}; the coupling error is about twice that" if sizes else "nothing, for nothing is connected"
-        return Note(f"half the step changes at most {changes}")
+        changes = f"{sizes}; the coupling error is about twice that" if sizes else "none, because nothing is connected"
+        return Note(f"with half the step, the largest changes are: {changes}")
 
 
 def coupling_error(scenario: FilePath, overrides: Sequence[str] = (), *, in_process: bool = False) -> CouplingError:
@@ -179,7 +179,7 @@ def coupling_error(scenario: FilePath, overrides: Sequence[str] = (), *, in_proc
     """
     original = ScenarioFile(Path(scenario), overrides)
     if original.scenario.control is not None:
-        reason = "controls the error of each step; --coupling-error measures equal steps: set one, --set step=0.01"
+        reason = "uses variable steps, but --coupling-error needs a fixed step: add for example --set step=0.01"
         raise InputError([original.fault(("step",), reason)])
     runs: list[Results] = []
     with ExitStack() as stack:

@@ -142,8 +142,8 @@ def run(
     goes_on = (resume or until is not None) and not isinstance(scenario, Mapping)
     is_given = [set, seed is not None, pace is not None, format != "csv", out not in {None, NUMBERED}]
     if goes_on and any(is_given):
-        text = "a run goes on as it began, so --resume and --until take no --out, --set, --seed, --pace and --format"
-        raise InputError.at(Path(str(scenario)), f"{text}; leave them out")
+        text = "a resumed run keeps its settings, so --out, --set, --seed, --pace and --format are not allowed"
+        raise InputError.at(Path(str(scenario)), f"{text}; remove them")
     observers = [*observers, *([] if progress is None else [ProgressObserver(progress)])]
     begin, overrides = time.perf_counter(), overrides_of(set, seed, pace)
     with ExitStack() as stack:
@@ -182,7 +182,7 @@ def run(
             count, part = file.scenario.steps + 1, system.recording
             values = (count if part is None else len(part.rows(count))) * len(system.columns)
             if values > MANY_VALUES and rows_file.endswith(".csv"):
-                cure = "--format parquet writes, reads and stores so many much faster than CSV"
+                cure = "--format parquet is much faster and smaller than CSV"
                 tell(Note(f"the results have {values} values; {cure}"))
         if inputs:
             functions = InputFunctions(inputs)
@@ -192,7 +192,7 @@ def run(
         loaded = time.perf_counter()
         keeping = Keeping(start=start)
         if scenario_.checkpoint is not None and worker is None:
-            tell("no checkpoints are made where FMUs run in this process")
+            tell("no checkpoints are stored, because FMUs run in this process (--in-process)")
         elif scenario_.checkpoint is not None:
             if start is None:
                 remove_checkpoints(place)
@@ -244,7 +244,7 @@ def run(
             exact = {name: [column[k] for k in rows] for name, column in results.exact.items()}
             results = replace(results, time=results.time[rows], values=results.values[rows], exact=exact)
         if worker is None and scenario_.limits is not None:
-            record["warnings"].append("limits are not watched where FMUs run in this process")
+            record["warnings"].append("limits are not checked, because FMUs run in this process (--in-process)")
         is_written = goes_on or out is not None
         pages = {"report": report and is_written, "figures": figures and is_written}
         state = None if failure is None else stepped.state
@@ -309,8 +309,8 @@ def _prepare_stopped(
         start, ended = without_ended_states(system, grid, start, stopped.end, worker, limits)
         if ended:
             time_ = file.scenario.start_time + stopped.end * file.scenario.step
-            reason = f"the saved state does not go beyond t = {time_:g} s, the end that the FMU was told"
-            tell(Note(f"{', '.join(ended)}: {reason}; so all steps are made again"))
+            reason = f"the saved state cannot continue beyond t = {time_:g} s, the stop time given to the FMU"
+            tell(Note(f"{', '.join(ended)}: {reason}, so all steps are repeated"))
     check_writable(stopped.folder, (stopped.rows_file, MANIFEST, "report.html"), file.files)
     if changes := [Change(point, values) for point, values in stopped.checkpoint.get("changes", ())]:
         system = replace(system, events=with_changes(system.events, changes))
@@ -321,15 +321,15 @@ def _prepare_stopped(
         record["scenario"]["components"][name]["solver_step"] = longest
     if start is None:
         note = (
-            f"record leaves out signals or rows, so the run is made again from t = {file.scenario.start_time:g} s; "
-            "checkpoint: keeps all of them"
+            f"record omits signals or rows, so the run is repeated from t = {file.scenario.start_time:g} s; "
+            "checkpoint: stores all of them"
         )
     else:
         time_ = file.scenario.start_time + (start.count - 1) * file.scenario.step
-        note = f"the run goes on from t = {time_:g} s, row {start.count} of {file.scenario.steps + 1}"
+        note = f"the run continues from t = {time_:g} s, row {start.count} of {file.scenario.steps + 1}"
         if names := start.unsaved(system):
             note += (
-                f"; as the state of {', '.join(names)} is not saved, all steps are made again, which takes about "
+                f"; the state of {', '.join(names)} is not saved, so all steps are repeated, which takes about "
                 f"{stopped.lasted:.2g} s"
             )
     tell(Note(note))
@@ -397,7 +397,7 @@ def _write_files(
         end = float(results.time[-1]) if len(results.time) else prepared.file.scenario.start_time
         stopped = stop_error(stop, end, "the report of the run")
         record["no_report"] = stopped.reason
-        cure = f"`cosim report {shell_path(rows.parent)}` makes it"
+        cure = f"`cosim report {shell_path(rows.parent)}` writes it"
         record["warnings"].append(f"there is no report: {stopped.reason}; {cure}")
         write_json(rows.with_name(MANIFEST), record)
         return stopped

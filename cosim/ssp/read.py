@@ -580,7 +580,7 @@ class SspSystem(Reader):
                     own = () if place in self.parts else (n for at, n in self.connectors if at == place)
                     hint = did_you_mean(parameter.name, chain(own, self.names(place)))
                     name = format_value(parameter.name)
-                    self.warn(parameter.element, f"parameter {name} reaches no variable and is ignored{hint}")
+                    self.warn(parameter.element, f"parameter {name} matches no variable and is ignored{hint}")
 
     def targets(self, place: Place, name: str) -> Iterator[tuple[End, Sequence[Connection]]]:
         """Yield the FMU variables of a hierarchical name, with the connections from a system's connector to them."""

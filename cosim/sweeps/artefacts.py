@@ -34,7 +34,7 @@ ARTEFACTS = (
     ),
     Artefact(
         "a database",
-        "`cosim sweep SWEEP.yaml --resume` continues one that it left, named with its --out",
+        "`cosim sweep SWEEP.yaml --resume --out FOLDER` continues the sweep in its folder",
         endings=(".sqlite",),
     ),
 )

@@ -60,13 +60,13 @@ class Factors:
             largest = max(listed, key=lambda n: listed[n], default="")
             in_list = bool(listed) and (not sampled or listed[largest] > file.runs)
             where: Location = ("vary", largest) if in_list else ("runs",)
-            text = f"{count:.3g} runs are more than the {MOST_RUNS:,} that a sweep may have; give fewer values or runs"
+            text = f"{count:.3g} runs exceed the limit of {MOST_RUNS:,} runs; give fewer values or runs"
             raise InputError([yaml.fault(where, text, key=in_list)])
         if file.sampling == "saltelli" and (listed or not sampled):
-            text = "saltelli takes only distributions, no listed values"
-            self._note(("sampling",), f"{text}; vary by distributions, or choose another sampling")
+            text = "saltelli needs distributions, not listed values"
+            self._note(("sampling",), f"{text}; replace the lists, or choose another sampling")
         elif file.sampling == "saltelli" and not saltelli_base(file.runs, sampled):
-            least = f"with {sampled} distributions saltelli needs {sampled + 2} runs at least"
+            least = f"with {sampled} distributions, saltelli needs at least {sampled + 2}"
             self._note(("runs",), f"{file.runs} runs are too few: {least}")
         read = (self._factor(name, varied) for name, varied in file.vary.items())
         self.factors = [factor for factor in read if factor is not None]
@@ -90,7 +90,7 @@ class Factors:
                 return Factor(name, values=list(range(start, start + varied.count)))
             if values is not None and all(type(v) is int and v >= 0 for v in values):
                 return Factor(name, values=values)
-            text = "seeds are whole numbers that are not negative: values: [1, 2], count: 20 or each: 1"
+            text = "a seed is a whole number of at least 0; give for example values: [1, 2], count: 20 or each: 1"
             self._note(where, text)
             return None
         if varied.way in {"count", "each"}:
@@ -108,12 +108,12 @@ class Factors:
         variables = {} if block is None else {v.name: v for v in block.description.modelVariables}
         variable = variables.get(variable_name)
         if block is None or variable is None or not settable(variable) or variable.shape:
-            text = f"{name} takes no number here; vary a path of the scenario, such as components.NAME.…, by values"
+            text = f"{name} has no number here; vary its path in the scenario, such as components.NAME.…, by values"
             faults, _ = self._test_variant(f"components.{component}.start.{variable_name}=0")  # says why
             self._note(("vary", name), faults[0].message if faults else text, key=True)
             return None
         if variable_name in block.connected:
-            self._note(("vary", name), "is an input that is connected; vary what feeds it", key=True)
+            self._note(("vary", name), "is a connected input; vary its source", key=True)
             return None
 
         def convert(where: Location, entry: Any) -> Any:
@@ -136,7 +136,7 @@ class Factors:
             self._note(("vary", name), text, key=True)
             return None
         if first in FIXED:
-            self._note(("vary", name), f"{first} is one for all runs; give it by `set`", key=True)
+            self._note(("vary", name), f"{first} must be the same in all runs; give it under `set`", key=True)
             return None
 
         def convert(where: Location, entry: Any) -> Any:
@@ -170,7 +170,7 @@ class Factors:
         except (KeyError, IndexError, TypeError):
             number = None
         if not are_numbers([number]):
-            raise ValueError(f"{name} is {text!r}; it is a number")
+            raise ValueError(f"{name} is {text!r}; use a number")
         return float(number)
 
     def _test_variant(self, *overrides: str) -> tuple[Sequence[Fault], list[str]]:
@@ -208,7 +208,7 @@ class Factors:
             numbers = [value((way, k), v) for k, v in enumerate(entries)]
         within = [value(("within", k), v) for k, v in enumerate(varied.within or ())]
         if not is_real or any(isinstance(v, (bool, str)) for v in (*numbers, *within)):
-            self._note(("vary", name, way), f"{name} is no real number; give its values as a list, values: […]")
+            self._note(("vary", name, way), f"{name} is not a real number; give its values as a list, values: […]")
         if not are_numbers([*numbers, *within]):
             return None
         try:
@@ -233,7 +233,7 @@ class Factors:
                 faults, warnings = self._test_variant(f"{path}={json.dumps(value)}")
                 for fault in faults:
                     where: Location = ("vary", name, way) if is_drawn else ("vary", name)
-                    cure = "cut it by within: [low, high]" if way == "normal" else "move its ends"
+                    cure = "limit it by within: [low, high]" if way == "normal" else "change its limits"
                     text = f"{name} would be {value:g}: {fault.message}; {cure}" if is_drawn else fault.message
                     self._note((*where, way, k) if way == "values" else where, text, exit_code=fault.exit_code)
                 known = {*self.scenario.warnings, *self.system.warnings, *self.warnings}

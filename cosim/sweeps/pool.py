@@ -127,16 +127,16 @@ def dask_cluster(study: Sweep, address: str, place: Callable[[str], Fault]) -> I
     try:
         client = distributed.Client(address, timeout=ANSWER)
     except (OSError, ValueError, TypeError) as error:
-        message = f"no dask scheduler answers at {address} within {ANSWER} s ({_one_line(error)}); "
+        message = f"no dask scheduler responds at {address} within {ANSWER} s ({_one_line(error)}); "
         raise InputError([place(message + "start one by `dask scheduler`")]) from None
     with client:
         if not client.nthreads():
-            message = f"the dask scheduler at {address} has no workers; start some by `dask worker {address}`"
+            message = f"the dask scheduler at {address} has no workers; start one by `dask worker {address}`"
             raise InputError([place(message)])
         try:
             client.register_plugin(Files(), name=folder)
         except Exception as error:
-            message = f"a worker of the dask scheduler at {address} cannot make runs ({_one_line(error)}); "
+            message = f"a worker of the dask scheduler at {address} cannot simulate ({_one_line(error)}); "
             cure = (
                 f"install cosim {__version__} where the workers run, or start them in the environment of this command"
             )
@@ -159,7 +159,7 @@ def make_run_of_dask(job: Job, request: RunRequest, folder: str, places: Mapping
 
     here = Path(get_worker().local_directory, folder)
     if not here.is_dir():
-        raise FileNotFoundError(f"the worker has not got the files of the sweep: {here}")
+        raise FileNotFoundError(f"the worker did not receive the files of the sweep: {here}")
 
     def with_copies(overrides: Iterable[str]) -> tuple[str, ...]:
         texts = list(overrides)

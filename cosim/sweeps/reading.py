@@ -189,7 +189,7 @@ class Swept(Runs):
             lines.append(f"{c['name']}: met by {c['met']} of {c['of']} ({share})")
         for name, shares in r.get("valid", {}).items():
             least, most = (percent(share) for share in shares)
-            lines.append(f"{name}: within the logs of its FMU for {least} … {most} of the time of a run")
+            lines.append(f"{name}: within the region of the logs of its FMU for {least} … {most} of the time of a run")
         return lines
 
     def __repr__(self) -> str:

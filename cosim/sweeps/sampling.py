@@ -56,13 +56,13 @@ def distribution(way: str, numbers: Sequence[float], within: Sequence[float] | N
         return lambda u: norm.ppf(u, *numbers)
     low, high = within if within and way == "normal" else (numbers[0], numbers[-1])
     if not low < high:
-        text = "write the lower end first, the higher one second"
-        raise ValueError(f"between {low:g} and {high:g} there is nothing; {text}")
+        text = "write the lower limit first"
+        raise ValueError(f"the range from {low:g} to {high:g} is empty; {text}")
     if way == "normal":
         mean, deviation = numbers
         a, b = (low - mean) / deviation, (high - mean) / deviation
         if norm.cdf(b) - norm.cdf(a) < 1e-9:
-            raise ValueError(f"within {low:g} … {high:g} there is nothing of the distribution; move its ends")
+            raise ValueError(f"within {low:g} … {high:g} the distribution has no values; change these limits")
         return lambda u: truncnorm.ppf(u, a, b, mean, deviation)
     if way == "uniform":
         return lambda u: low + (high - low) * u
@@ -72,7 +72,7 @@ def distribution(way: str, numbers: Sequence[float], within: Sequence[float] | N
             raise ValueError(f"{text}; write low, most likely, high")
         return lambda u: triang.ppf(u, (numbers[1] - low) / (high - low), low, high - low)
     if low <= 0:
-        raise ValueError(f"{low:g} has no logarithm; give ends above 0")
+        raise ValueError(f"{low:g} has no logarithm; give limits above 0")
     return lambda u: np.exp(math.log(low) + (math.log(high) - math.log(low)) * u)
 
 

@@ -52,7 +52,7 @@ class Database:
                 if stored is None:
                     self._base.execute("INSERT INTO sweep VALUES (?)", (key,))
         except sqlite3.Error as error:
-            raise InputError.at(path, f"is no database of a sweep: {error}; --force starts again") from None
+            raise InputError.at(path, f"is not a database of a sweep: {error}; use --force to start again") from None
         if stored not in {None, (key,)}:
             self._base.close()
             cure = "give another folder as --out, or use --force to start again"

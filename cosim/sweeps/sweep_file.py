@@ -18,13 +18,13 @@ WAYS = ("values", "grid", *DISTRIBUTIONS, "count", "each")
 def _check_listed(value: Any) -> Any:
     """Return a valid listed value, for paths also a list, e.g. poles."""
     if isinstance(value, list) and (not value or any(isinstance(v, list) for v in value)):
-        raise ValueError("a list has numbers, true or false, or text")
+        raise ValueError("use numbers, true or false, or text")
     return scalar(value)
 
 
 def _quantity(value: Any) -> Any:
     if isinstance(value, (bool, list)):
-        raise ValueError("it is a number, or text such as 12 deg")
+        raise ValueError("use a number, or text such as 12 deg")
     return scalar(value)
 
 
@@ -75,7 +75,7 @@ class Varied(Part):
         if len(ways) != 1:
             raise ValueError(f"it has {' and '.join(ways) or 'no variation'}; give one of {', '.join(WAYS)}")
         if self.within is not None and self.normal is None:
-            raise ValueError("within cuts a normal distribution; give normal, or leave it out")
+            raise ValueError("within limits a normal distribution; give normal, or remove within")
         return self
 
     @property

@@ -107,7 +107,7 @@ def sweep(
     """
     study = read_sweep(Path(path), loads=True)
     if resume + (part is not None) + join + force > 1:
-        raise InputError.at(Path("cosim sweep"), "give one of --resume, --part, --join and --force")
+        raise InputError.at(Path("cosim sweep"), "give only one of --resume, --part, --join and --force")
     if (part is not None or join) and out is None:
         raise InputError.at(Path("--out"), "name the folder of all parts, such as --out results/parts")
     folder = None if out is None else named_path(out)
@@ -118,7 +118,7 @@ def sweep(
         match = re.fullmatch(r"(\d{1,7})/(\d{1,7})", part.strip())
         k, of = map(int, match.groups()) if match else (0, 0)
         if not 1 <= k <= of:
-            raise InputError.at(Path("--part"), f"{part!r} is no part; give K/N with K from 1 to N, such as 17/200")
+            raise InputError.at(Path("--part"), f"{part!r} is not K/N with K from 1 to N; give for example 17/200")
         runs, home = runs[k - 1 :: of], folder / PARTS / f"{k}-of-{of}"
     inputs = [study.yaml.path, study.job.scenario, *study.files]
     check_installed("SALib", "cosim sweep")  # imported for the report only
@@ -154,7 +154,7 @@ def sweep(
             missing = [run for run in runs if run not in done]
             if join and missing:
                 text = f"{len(missing)} of {counted(study.count, 'run')} are missing, the first is run {missing[0]}"
-                raise InputError.at(folder, f"{text}; repeat the parts that did not end, or make the runs by --resume")
+                raise InputError.at(folder, f"{text}; repeat the parts that did not end, or run the rest with --resume")
             limits = _limits(study)
             for observer in observers:
                 observer.begin(study.name, len(runs), limits, _all_runs(databases))
@@ -180,7 +180,7 @@ def sweep(
                     raise
                 with suppress(OSError):  # of a full disk
                     databases[0].store()
-                kept = f"{sum(len(d.numbers()) for d in databases)} of {counted(study.count, 'run')} are kept"
+                kept = f"{sum(len(d.numbers()) for d in databases)} of {counted(study.count, 'run')} are stored"
                 why, cure = ("the disk is full", "make room, and ") if full else ("stopped", "")
                 cure += "the same command" if part else "--resume"
                 stopped = SweepStopped(f"{why}: {kept} in {databases[0].path}; {cure} continues the sweep")

@@ -118,11 +118,11 @@ class Graph:
         held, key = [link.held for link in self.links], ""
         if not self.algorithm.sequential:
             if held:
-                key = f"{self.algorithm.title}: every component sees the values of the step's start."
+                key = f"{self.algorithm.title}: every component receives the values at the start of the step."
         else:
             key = "Numbers are the order in which components step."
             if any(held):
-                key += " A dashed line passes on the value of the step's start, all others that of its end."
+                key += " Dashed lines transfer values at the start of the step, other lines values at its end."
         key_top = bottom + LANE * len(below) + 22
         parts += [_text("key", MARGIN, key_top, key)] if key else []
         width = max(x - SLOT + MARGIN / 2, MARGIN * 2 + SMALL * len(key) if key else 0.0)
