@@ -153,7 +153,7 @@ def test_every_verdict_has_its_word_its_tone_and_a_command_that_goes_on(
     assert escape(more) in folded
     assert "data-chart" not in head
     assert all(f"<li>{rival}</li>" in folded for rival in rivals)
-    assert ("Left of recalibrated" in text) == is_claimed
+    assert ("Remaining of recalibrated" in text) == is_claimed
 
 
 def test_excess_left_is_that_of_the_contract() -> None:

@@ -117,9 +117,7 @@ def control_of(building: Building, transfers: Sequence[Transfer]) -> Control | N
     estimator = settings.estimator or ("energy" if bonds else "residual" if obstacle else "halving")
     is_per_second = settings.per == "second"
     if is_per_second and estimator != "halving":
-        message = (
-            f"an error per second needs estimator: halving; {obstacle or f'here it is {estimator}'}; leave per out"
-        )
+        message = f"an error per second needs estimator: halving; {obstacle or f'here it is {estimator}'}; remove per"
         building.note(("step", "per"), message)
     limits = settings.tolerance, is_per_second, settings.min, settings.max
     return Control(estimator, *limits, tuple(nominal), tuple(outputs), tuple(bonds), at_rows, not obstacle)

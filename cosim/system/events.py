@@ -157,7 +157,7 @@ def check_events(building: Building, plan: Schedule, apart: Collection[str]) -> 
         elif name in apart and is_exchange(stage.component):
             reason = "uses model exchange in a process of its own"
         if reason:
-            building.warnings.append(f"{name} {reason}: an event within a step takes effect at the end of the step")
+            building.warnings.append(f"{name} {reason}, so an event within a step takes effect at the end of the step")
     clocks = (f"{fmu.name}.{signal.name}" for fmu in events for signal in fmu.inputs if signal.kind == "Clock")
     if idle := [name for name in clocks if name not in building.scenario.targets]:
         names = ", ".join(idle)

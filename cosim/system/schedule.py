@@ -189,7 +189,7 @@ class _Graph:
         has_events = any(isinstance(component, EventFmu) for component in self.components.values())
         for name in loop.members:
             component, part = self.components[name], f"{name} is part of the algebraic loop {loop.name}"
-            order = "state the order of the components (order: [...]), so that it is not solved"
+            order = "set order: [...], so that the loop is not solved"
             if isinstance(component, EventFmu):
                 cure = f"set event_mode: false, or {order}"
                 yield ("components", name), f"{part} and uses event mode, in which it cannot be solved; {cure}"
@@ -205,9 +205,10 @@ class _Graph:
             signal = next((signal for signal in signals if signal.name == variable), Signal(variable))
             if any(transfer.beside) or signal.is_whole:
                 fault = (
-                    f"{transfer.name} is part of an algebraic loop and {signal.kind}; only real signals can be solved."
+                    f"{transfer.name} is part of an algebraic loop, but has the type {signal.kind}; only reals can be "
+                    "solved."
                 )
-                cure = "State the order of the components (order: [...]), so that it has the value of the previous step"
+                cure = "Set order: [...], so that it has the value of the previous step"
                 yield ("connections",), f"{fault} {cure}"
 
 
@@ -299,7 +300,7 @@ def _every(building: Building, name: str) -> int:
         )
         building.note(("components", name, "step"), message)
     elif every > scenario.steps:
-        message = f"step is {step:g} s, longer than the run of {scenario.duration:g} s"
+        message = f"step is {step:g} s, longer than the run of {scenario.duration:g} s; use a shorter step"
         building.note(("components", name, "step"), message)
     elif rest := scenario.steps % every:
         message = (

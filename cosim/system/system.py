@@ -187,7 +187,7 @@ def build_system(file: ScenarioFile) -> System:
         elif goal.of in components:
             found = read_credibility(blocks[goal.of].path) if goal.of in blocks else Found(None)
             if found.record is None:
-                reason = found.problem or "it has no record of the logs that it rests on"
+                reason = found.problem or "it has no record of credibility"
                 building.note(place, f"{goal.of}: {reason}; name an FMU of `cosim refine` or `cosim fit`")
     is_connected = is_whole and all(transfers)
     has_events = any(isinstance(component, EventFmu) for component in components.values())

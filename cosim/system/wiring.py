@@ -372,7 +372,10 @@ def _check_faults(building: Building) -> None:
         first, last = points(fault.begin, fault.end, scenario.start_time, scenario.step, scenario.steps + 1)
         if not max(0, first) <= min(last, scenario.steps):
             end = scenario.start_time + scenario.duration
-            building.note(("faults", k), f"has no communication point within {scenario.start_time:g} … {end:g} s")
+            building.note(
+                ("faults", k),
+                f"is active at no communication point within {scenario.start_time:g} … {end:g} s; change its times",
+            )
 
 
 def connection_warnings(building: Building) -> Iterator[str]:

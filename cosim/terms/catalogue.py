@@ -330,7 +330,7 @@ ALIKE: tuple[tuple[frozenset[str], str], ...] = (
         frozenset({"delay", "lag", "second_order_lag", "rate_limit", "latency"}),
         "steps of each input in several sizes, with five times as many rows: a delay responds late, a lag at once, "
         "and a rate limit takes longer for a larger step; in a linear plant, an input and a sensor are distinguished "
-        "only by a second sensor or a measurement of the input behind the lag",
+        "only by a second sensor or a measurement of the input after the lag",
     ),
     (
         frozenset({"dead_band", "play", "coulomb", "stribeck"}),

@@ -98,7 +98,7 @@ def check(
                 try:
                     if signed_by is not None:
                         if kind_by_form(path) != FMU:
-                            raise InputError.at(path, "is no FMU; --signed-by checks the FMUs that are named")
+                            raise InputError.at(path, "is not an FMU; --signed-by checks FMUs only")
                         check_signature(path, Path(signed_by))
                     lines += [with_prefix(f"{path}: ", line) for line in _check_isolated(path, checking)]
                 except InputError as error:
@@ -117,7 +117,7 @@ def _check_isolated(path: Path, checking: Checking) -> list[str]:
             return _check(path, checking)
         except NotExecuted as code:
             if worker is None:
-                return [f"warning: {code} (--no-load); this file and its dependants are not checked"]
+                return [f"warning: {code} (--no-load); this file and the files that use it are not checked"]
         except InputError:
             if worker is None or not skipped:  # otherwise there may be more faults
                 raise

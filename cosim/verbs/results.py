@@ -284,7 +284,9 @@ def open_command(
     found = [Selected(e.folder, e) for e in entries(root)[-1:]] if run is None else select_groups([run], root)[0]
     if len(found) != 1:
         names = some([f"{s.entry.number} {s.entry.name}" for s in found if s.entry is not None], NAMED_RUNS)
-        raise InputError.at(Path(run or root), f"{len(found)} results: {names or 'none'}; give one as in `cosim list`")
+        raise InputError.at(
+            Path(run or root), f"{len(found)} results: {names or 'none'}; give one name or number of `cosim list`"
+        )
     folder, entry = found[0].path, found[0].entry
     page = folder / "report.html"
     if not page.is_file():

@@ -111,8 +111,8 @@ def motion_sentence(craft: Craft, called: str) -> str:
     side = "left" if turn > 0 else "right"
     seconds = float(craft.run.time[good][-1] - craft.run.time[good][0])
     return (
-        f"In {amount(seconds, 's')} {called} travelled {length(way)} and ended "
-        f"{length(gap)} from where it began, turned {amount(abs(turn), 'rad', 2)} to the {side}."
+        f"In {amount(seconds, 's')} {called} travelled {length(way)}, ended "
+        f"{length(gap)} from where it began, and turned {amount(abs(turn), 'rad', 2)} to the {side}."
     )
 
 

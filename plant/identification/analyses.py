@@ -132,7 +132,7 @@ def thrust_line(m: Measurement) -> Result:
     result.notes.append(f"r² = {r2:.4f} (eq 4.22); {sufficient}")
     if idle:
         result.warnings.append(
-            f"{idle} of {whole} readings have no thrust, which begins at {begins:.2f} %: "
+            f"{idle} of {whole} readings have no thrust, because thrust begins at {begins:.2f} %: "
             "T = max(0, a + b·δ) is not linear there, so they are not used"
         )
     top = max(float(r.duty[m.inside(r)].max()) for r in m.recordings)

@@ -231,7 +231,9 @@ def _distance(runs: Sequence[Log], loaded: LoadedModel, asked: DistanceFile) -> 
         end = ("covered", run.time[-1:], np.array([length]), "dots")
         result.figures.append(Figure(f"{run.path.name}: {output}", "time [s]", unit, [path, end]))
     if observed and np.isnan(thesis):
-        result.warnings.append(f"for some run, the observer of App. F covers the distance with no value of {parameter}")
+        result.warnings.append(
+            f"for at least one run, no value of {parameter} makes the observer of App. F cover the distance"
+        )
     result.details = {"each": values, "each_by_observer": observed}
     return result
 

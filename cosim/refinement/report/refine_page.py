@@ -496,7 +496,7 @@ def innovations(r: Refinement, charts: Charts) -> list[dict[str, Any]]:
 
 def modes(r: Refinement) -> tuple[str, str]:
     """Return the labels of the compared models, or of the compared filters without a claim."""
-    return ("before", "refined") if r.verdict.claimed else ("equations trusted", "disturbance estimated")
+    return ("before", "refined") if r.verdict.claimed else ("no disturbance", "disturbance estimated")
 
 
 class Regressor(NamedTuple):

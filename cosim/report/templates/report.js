@@ -154,7 +154,7 @@
       rowNote.textContent = points
         ? `numbers: point ${row + 1} of ${count}, ${this.place(row)}`
         : hasOwn
-          ? `numbers: of each curve its point nearest to ${this.place(row)}`
+          ? `numbers: the point of each curve nearest to ${this.place(row)}`
           : `numbers: row ${Math.min(of, 1 + row * every)} of ${of}, ${this.place(row)}` +
             (of > count ? `; ${count} of the rows are in this page, all are in results.csv` : "");
     }
