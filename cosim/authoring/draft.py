@@ -275,7 +275,7 @@ def scenario_text(
     if guesses:
         lines.append(f"# Guessed connections below, marked as a guess: {guesses}. Check them first.")
     if choices:
-        lines.append(f"# Inputs left open, with several fitting outputs: {choices}. Uncomment the right ones.")
+        lines.append(f"# Unconnected inputs with several fitting outputs: {choices}. Uncomment the right connections.")
     lines += [
         f"name: {'_'.join(dict.fromkeys(p.name for p in parts))[:60]}",
         f"duration: {times.duration:.12g} # s: {times.why_duration}",

@@ -126,7 +126,7 @@ class MessageLog:
         yield from self.first
         if self.omitted:
             yield (
-                f"{self.omitted:,} messages are left out here: the first {len(self.first)} and the last "
+                f"{self.omitted:,} messages are omitted here: the first {len(self.first)} and the last "
                 f"{len(self.last)} are recorded"
             )
         yield from self.last

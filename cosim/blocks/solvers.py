@@ -246,7 +246,7 @@ def cvode(
             number, _, _, text = self.error_info
             reason = FAILURES.get(number) or f"CVODE failed (code {number}): {' '.join(text.split())}"
             if number == TOO_MUCH_WORK:
-                other = ", or take solver: solve_ivp"
+                other = ", or use solver: solve_ivp"
                 reason = TOO_MANY_SOLVER_STEPS.format(solver="CVODE", count=most, other=other)
             raise SolverFailed(reason)
 

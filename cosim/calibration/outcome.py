@@ -207,7 +207,7 @@ def _sentence(record: Record, parts: Sequence[Part]) -> str:
     texts = [f"{n} from {size(c.before or 0.0, c.unit)} to {size(c.after or 0.0, c.unit)}" for n, c in chosen.items()]
     change = {"improved": "falls", "worse": "does not decrease"}.get(record.verdict, "hardly changes")
     unproven = " No sealed log confirms it." if record.verdict == "improved" and not part.sealed else ""
-    return f"On {where} the {error} {change}: {join_names(texts) or 'there is none'}.{unproven} {effort}"
+    return f"On {where} the {error} {change}: {join_names(texts) or 'it is zero for all outputs'}.{unproven} {effort}"
 
 
 def _warnings(record: Record, estimate: Estimate, parts: Sequence[Part]) -> Iterator[str]:

@@ -208,7 +208,7 @@ def check_fit_study(path: Path, checking: Checking) -> list[str]:
             apart = [DriveApart(checking.worker, log, request.fmu, **more) for log in given.logs]
             _refuse_bad([stack.enter_context(drive) for drive in apart])
         _refuse_own_step(request, given)
-    aim = "" if request.vary else "the identifiable ones among "
+    aim = "" if request.vary else "the identifiable parameters among "
     return [Note(f"`cosim fit` will estimate {aim}{join_names([p.name for p in given.parameters])}")]
 
 

@@ -169,7 +169,7 @@ def region_of(
     chosen = _spread_out(scaled, MOST_POINTS)
     threshold = conformal_quantile(_left_out_distances(scaled, block, chosen), LEVEL)
     if not np.isfinite(threshold):
-        return Region(reason="too few data: the threshold of the region needs logs that can be left out in turn")
+        return Region(reason="too few data: the threshold of the region needs parts of the logs to leave out in turn")
     coordinates = []
     for j in kept:
         signal, kind = every[j]

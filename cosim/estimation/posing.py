@@ -363,12 +363,12 @@ def noise_warnings(problem: Problem, noise: Noise, subject: Subject) -> tuple[st
         both = (f"{n} {plain(s, 2)}, not {plain(stated[n], 2)} {units[n]}".rstrip() for n, s in different.items())
         warnings.append(
             f"the noise in the logs differs from the stated noise ({'; '.join(both)}); the noise of the "
-            f"logs is used. Write {_line(different)} into the study to state it"
+            f"logs is used. To accept this, write {_line(different)} into the study"
         )
     if unstated:
         warnings.append(
             f"the model does not state the noise of {join_names([*unstated])} (sensor_variance); the logs show "
-            f"{_line(unstated)}, which is used. Write it into the study to state another"
+            f"{_line(unstated)}, which is used. To change it, write this key with other values into the study"
         )
     stamps = zip(names, np.exp(0.5 * noise.timing).tolist(), strict=True)
     if erring := [f"{name} by {plain(t, 2)} s" for name, t in stamps if t > 0.0]:

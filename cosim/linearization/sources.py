@@ -114,7 +114,7 @@ class ExchangeSource:
         if "model-exchange" not in ways(description):
             cure = "give the model's own file (model.yaml, file.py:Class or base), or an FMU for model exchange"
             text = f"supports co-simulation only, without access to states and derivatives; {cure}"
-            raise InputError.at(path, f"{text}; `cosim build --native` builds one from a model of cosim")
+            raise InputError.at(path, f"{text}; `cosim build --native` builds such an FMU from a model file")
         if len(states_of(description)) != len(description.derivatives):
             text = (
                 "declares derivatives without their states; its modelDescription.xml needs the attribute `derivative`"

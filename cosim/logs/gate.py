@@ -346,8 +346,8 @@ def _against_rate(log: Log, name: str, rate: str, *, declared: bool) -> Iterator
         yield Finding(severity, "degrees", degrees, message)
     elif abs(slope - 1.0) > max(0.03, 5.0 * error_slope):
         message = (
-            f"integrates to {plain(float(1 / slope), 3)} times the change of {name}: a scale is wrong, or one of "
-            "them is limited"
+            f"integrates to {plain(float(1 / slope), 3)} times the change of {name}: a scale is wrong, or the "
+            "range of one sensor is limited"
         )
         yield Finding("warning", "scale", rate, message)
     if slope > 0.0 and abs(drift) > 5.0 * error_drift and abs(drift) > 0.003 * float(np.nanstd(log.outputs[rate])):

@@ -206,7 +206,7 @@ class Master:
         except OSError as error:
             if not is_full(error):
                 raise
-            reason = f"the disk is full: it has room for {self.done} of {self.steps + 1} rows while the run lasts"
+            reason = f"the disk is full: it has room for only {self.done} of {self.steps + 1} rows"
             self.failure = DiskFull("the run", float(self.time[max(0, self.done - 1)]), reason)
         finally:
             if self.keeper is not None:

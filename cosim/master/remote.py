@@ -315,7 +315,7 @@ def _log_lines(system: System) -> list[str]:
 
 def _early_end(system: System, h: float, done: int) -> EarlyEnd:
     """Return the early end requested by an observer."""
-    return EarlyEnd("an observer", _time_of(system, h, done), Note("it asked for the end"))
+    return EarlyEnd("an observer", _time_of(system, h, done), Note("it requested the end of the run"))
 
 
 def _time_of(system: System, h: float, rows: int) -> float:

@@ -103,7 +103,7 @@ class Refined:
         errors = {m: dict(self.record.get("error", {}).get(m, {}).get(part) or {}) for m in models}
         channels = list(dict.fromkeys(name for of in errors.values() for name in of))
         if not channels:
-            raise ValueError(f'no errors of "{part}" are in refine.json; it holds estimation and validation')
+            raise ValueError(f'refine.json has no errors of "{part}"; give estimation or validation')
         figure = new_figure()
         for ax, channel in zip(figure.subplots(1, len(channels), squeeze=False).ravel(), channels, strict=True):
             values = {m: of[channel] for m, of in errors.items() if channel in of}

@@ -7,7 +7,7 @@ from cosim.files.artefact import Artefact
 ARTEFACTS = (
     Artefact(
         "an answer of `cosim replay`",
-        "scripts read it; `cosim replay LOG.csv` makes one",
+        "read it with a script; `cosim replay LOG.csv` writes one",
         keys=(frozenset({"schema_version", "units"}),),
         without=frozenset({"scenario", "estimates"}),
         verb="cosim replay",

@@ -63,9 +63,9 @@ MEASURED = "log"  # component name of measurements, beside PLANT
 NEXT_STUDY = "study.yaml"
 HEAD = """\
 # Written by `cosim replay`. In this folder:
-#   cosim check study.yaml    what can be found with these logs
-#   cosim refine study.yaml   what the FMU lacks
-#   cosim fit study.yaml      its parameters
+#   cosim check study.yaml    print which effects these logs can show
+#   cosim refine study.yaml   find the effects that the FMU lacks
+#   cosim fit study.yaml      estimate the parameters of the FMU
 """
 
 

@@ -289,8 +289,8 @@ def _check_record(record: Any) -> Any:
     """Return the value of `record`; raise ValueError unless it is a list or a mapping."""
     if not isinstance(record, dict | Recording | list | tuple):
         raise ValueError(
-            "give a list of signals to record beside inputs and outputs, for example [plant.*], or a mapping to record "
-            "less, for example {signals: [plant.x], every: 0.1 s}"
+            "give a list of signals to record in addition to inputs and outputs, for example [plant.*], or a mapping "
+            "to record less, for example {signals: [plant.x], every: 0.1 s}"
         )
     return record
 

@@ -216,7 +216,7 @@ class ScenarioFile:
             start, end = criterion.after, s.duration if criterion.until is None else criterion.until
             is_inside = self.stands_in or (start < end <= s.duration and end - start >= s.step)
             if start < 0 or not is_inside:
-                interval = f"{kind} is evaluated from {start:g} s to {end:g} s of {s.duration:g} s"
+                interval = f"{kind} is evaluated from {start:g} s to {end:g} s of a run of {s.duration:g} s"
                 yield where, f"{interval}; choose times within the run, at least one step apart"
 
     def _control_faults(self) -> Iterator[tuple[Location, str]]:

@@ -24,7 +24,7 @@ ARTEFACTS = (
         files=("manifest.json", "report.html", "system/*", "checkpoint/*"),
         tables=("results",),
         folder="the folder of a run",
-        folder_step="`cosim report {file}` makes its page again, `cosim compare {file} OTHER` compares it with another",
+        folder_step="`cosim report {file}` writes its page again, `cosim compare {file} OTHER` compares two runs",
         check="cosim.simulation.trial:check_scenario",
         reader="cosim.simulation.run_signals:read_run",
     ),
@@ -37,7 +37,7 @@ ARTEFACTS = (
     ),
     Artefact(
         FMU,
-        "`cosim info {file}` lists what it has, `cosim simulate {file}` runs it, `cosim check` checks it, "
+        "`cosim info {file}` lists its variables, `cosim simulate {file}` runs it, `cosim check` checks it, "
         "a scenario names it as fmu:, `cosim replay LOG.csv --fmu` drives it",
         endings=(".fmu",),
         member="modelDescription.xml",

@@ -119,7 +119,8 @@ class StoppedRun:
         overrides += [f"components.{name}.solver_step={longest!r}" for name, longest in solver_steps.items()]
         if until is not None and not self._reached < until < math.inf:
             raise InputError.at(
-                self.folder, f"--until {until:g} s is not after t = {self._reached:g} s, which the run has reached"
+                self.folder,
+                f"--until {until:g} s is not after t = {self._reached:g} s, the last row; give a later time",
             )
         return ScenarioFile(self.source, overrides, option="--until")
 

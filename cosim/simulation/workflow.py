@@ -273,7 +273,7 @@ def _scenario_file(scenario: FilePath | Mapping[str, Any]) -> Iterator[Path]:
         try:
             path.write_text(dumps(from_here((), scenario)), encoding="utf-8")
         except (TypeError, ValueError) as error:
-            raise InputError.at(label, f"holds what no file can: {error!s}") from None
+            raise InputError.at(label, f"has a value that no file can store: {error!s}") from None
         try:
             yield path
         except InputError as error:

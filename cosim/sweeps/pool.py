@@ -119,7 +119,8 @@ def dask_cluster(study: Sweep, address: str, place: Callable[[str], Fault]) -> I
             except Exception as error:
                 reason = _one_line(error)
                 raise SweepFailed(
-                    f"the dask cluster failed: {reason}; see its logs; completed runs are kept, --resume continues them"
+                    f"the dask cluster failed: {reason}; see its logs; completed runs are stored; --resume continues "
+                    "the sweep"
                 ) from None
             yield result
             room = 1

@@ -99,7 +99,7 @@ def _fmu(building: Building, name: str, component: FmuComponent) -> FmuBlock | N
         cure = (
             f'; "cosim build --model {made} --out {shell_path(path.parent)}" builds the FMU of {made}' if made else ""
         )
-        cure += "" if file.manifest is None else f"; put it there, or {path.name} beside {file.path.name}"
+        cure += "" if file.manifest is None else f"; put it there, or into the folder of {file.path.name}"
         building.note(("components", name, "fmu"), f"no such FMU: {path}{cure}")
         return None
     description = building.describe(path)

@@ -127,7 +127,7 @@ def rollback_obstacle(components: Components) -> str:
     """Return the reason why components cannot repeat a step; "" if they can."""
     for name, component in components.items():
         if isinstance(component, EventFmu):
-            return f"{name} ends steps at its events"
+            return f"{name} may end steps early, at its events"
         if isinstance(component, FmuBlock) and not component.rolls_back:
             return f"{name} cannot save its state, or accepts only one step length"
         if not isinstance(component, FmuBlock | SourceBlock):

@@ -291,7 +291,7 @@ def open_command(
     page = folder / "report.html"
     if not page.is_file():
         state, place = state_of(folder), shlex.quote(str(folder))
-        reason = f"its command is {state}" if state else f"`cosim report {place}` writes that of a run"
+        reason = f"its command is {state}" if state else f"`cosim report {place}` writes the report of a run"
         raise InputError.at(folder, f"has no report.html; {reason}")
     warn(*dict.fromkeys((*warnings_on(folder), *(entry.warnings if entry is not None else ()))))
     say(f"report: {page}")

@@ -230,7 +230,7 @@ def sweep_command(
         say_json({**{k: v for k, v in swept.record.items() if k != "scenario"}, "made": swept.made})
     say(*swept.sentences)
     if swept.made < swept.record["runs"]:
-        say(f"new runs: {swept.made}, from before: {swept.record['runs'] - swept.made}")
+        say(f"new runs: {swept.made}, already stored: {swept.record['runs'] - swept.made}")
     if given["part"]:
         say(f"part:   {swept.folder}")
         return

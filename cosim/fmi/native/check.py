@@ -33,7 +33,7 @@ DECIDED = (
 )
 NOT_NEUTRAL = (
     "the effect changes the equations even at its neutral value, or the equations test for effects: C code "
-    "evaluates every effect, so an absent one must be neutral"
+    "evaluates every effect, so an absent effect must be neutral"
 )
 Values = list[tuple[str, str, float]]  # quantity, method of the model, value
 Difference = tuple[str, str, float, float]  # the same, with the values by Python and by generated code
@@ -146,11 +146,11 @@ class Check:
                 begin = active.remember(at.t, own)
                 command, now = active.shape(SCALAR, at.t, at.h, command, own)
             for q, value, start in zip(effect.memory, now, begin, strict=True):
-                quantity = f"{effect.name}.{q.name}, remembered"
+                quantity = f"{effect.name}.{q.name} in memory"
                 after.append((quantity, "shape", value))
                 starts.append((f"{quantity} at the start", "remember", start))
         shaped = zip(self.model.inputs, command, strict=True)
-        return [*values, *((f"{q.name}, as it acts", "shape", value) for q, value in shaped), *after, *starts]
+        return [*values, *((f"{q.name} after all effects", "shape", value) for q, value in shaped), *after, *starts]
 
     def draw_point(self, awake: tuple[Any, ...], code: GeneratedCode, k: int) -> EvaluationPoint:
         """Return the random point of test k.
@@ -190,9 +190,9 @@ class Check:
         """Return the error for a difference between Python and C, with the class at fault and a remedy."""
         quantity, hook, python, generated = difference
         kinds, model = self.model.catalogue, type(self.model)
-        words = [f"{', '.join(e.name for e in awake)} awake" if awake else "every effect dormant"]
+        words = [f"{', '.join(e.name for e in awake)} active" if awake else "no effect active"]
         words += [f"{name} {str(on).lower()}" for name, on in code.switches.items()]
-        text = f"{quantity} is {python:.9g} in Python and {generated:.9g} as printed, with {', '.join(words)}"
+        text = f"{quantity} is {python:.9g} in Python and {generated:.9g} in C, with {', '.join(words)}"
         if len(awake) == 1:
             return UnprintableModel(text, awake[0], "" if hook == "equations" else hook, DECIDED)
         if awake or not kinds or self.first_difference(kinds, code):

@@ -254,4 +254,4 @@ def load_library(source: str, *headers: Path) -> ctypes.CDLL:
     try:
         return ctypes.CDLL(str(library_of(files, "model.c", command)))
     except OSError as error:
-        raise CompilerFailed(f"{command[0]} made a library that does not load: {error}") from error
+        raise CompilerFailed(f"{command[0]} built a library that does not load: {error}") from error
