@@ -79,7 +79,7 @@ def simulate(
         force: Write even if the folder is not empty; results in it are replaced.
         in_process: Load the FMU into this process, for a debugger.
         compile: Compile and execute the sources of an FMU that has no library for this machine.
-        format: File format of the rows: "csv", "parquet", "mat", "hdf5", or one of an installed package.
+        format: File format of the rows: "csv", "parquet", "mat", "hdf5", or a format of an installed package.
         progress (in Python): Function of (completed steps, all steps).
 
     Returns:

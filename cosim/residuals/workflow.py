@@ -98,7 +98,7 @@ def replay(
         in_process: Load the FMU into this process, for a debugger; limits do not apply.
         compile: Compile and execute the sources of an FMU that has no library for this machine.
         limits: Limits of time and memory, for example "step: 10 s, total: 1 h, memory: 2 GB".
-        format: File format of the rows: "csv", "parquet", "mat", "hdf5", or one of an installed package.
+        format: File format of the rows: "csv", "parquet", "mat", "hdf5", or a format of an installed package.
         progress (in Python): Function of (completed steps, all steps).
 
     Returns:

@@ -123,12 +123,12 @@ def run(
         force: Write even if the folder is not empty; results in it are replaced.
         in_process: Load FMUs into this process, for a debugger; limits do not apply.
         compile: Compile and execute the sources of FMUs that have no library for this machine.
-        format: File format of the rows: "csv", "parquet", "mat", "hdf5", or one of an installed package.
+        format: File format of the rows: "csv", "parquet", "mat", "hdf5", or a format of an installed package.
         progress (in Python): Function of (completed steps, all steps).
         observers (in Python): Objects that receive the rows during the run (`cosim.master.observer.Observer`).
         inputs (in Python): Input → function of time and signals that returns its value during the run, None to hold it.
-        resume: Go on with the stopped run in a folder, to the bytes that an uninterrupted run gives.
-        until (TIME): Go on with the run in a folder to this simulated time, in seconds or with a unit.
+        resume: Continue the stopped run in a folder; its rows become identical to those of an uninterrupted run.
+        until (TIME): Continue the run in a folder to this simulated time, in seconds or with a unit.
         tell (in Python): Function that shows a note before the steps.
 
     Returns:

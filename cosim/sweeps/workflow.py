@@ -87,9 +87,9 @@ def sweep(
         out: Folder for sweep.parquet, sweep.json and report.html; None means a new number in results/NAME.
         workers: Number of worker processes (default: one per core).
         dask: Address of a Dask scheduler; replaces that of the file.
-        resume: Go on with the sweep that was stopped in `out`, by default the newest in results/NAME.
+        resume: Continue the sweep that was stopped in `out`, by default the newest in results/NAME.
         part: K/N makes every N-th run from the K-th, and nothing but these runs; K is 1 … N.
-        join: Make the table and the report of the parts in the folder.
+        join: Combine the parts in the folder into the table and the report of the sweep.
         report: Write report.html.
         force: Start again, even if the folder has files; those of an earlier sweep are replaced.
         in_process: Load FMUs into this process, for a debugger.

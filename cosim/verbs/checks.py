@@ -156,7 +156,7 @@ def check_command(*, json: bool = False, **given: Any) -> None:
         files (FILE): Scenario, study, sweep, protocol, model, log, SSP, FMU or manifest.json.
         model (MODEL): Model of the logs: base, a model.yaml, or FILE.py:CLASS.
         load: Load the FMUs and make one step in a separate process.
-        columns (--column COLUMN=VARIABLE): Name of a log's column in the model, or time.
+        columns (--column COLUMN=VARIABLE): Variable of the model for a column of a log, for example stamp=time.
         signed_by (KEY): File of an Ed25519 public key whose owner must have signed every FMU that is named.
 
     Example: cosim check scenario.yaml build/*.fmu
@@ -187,7 +187,7 @@ def info_command(
         fmus (FMU): FMU to describe.
         every (--all): List local variables and every parameter too.
         report: Write NAME-credibility.html, which draws the region of the logs and the error bands of an FMU of cosim.
-        places: Execute each FMU to find the places where terms can act.
+        places: Execute each FMU to find the signals at which missing effects can act.
         log (LOG): Measured log that drives the inputs for --places.
         compile: Compile and execute the sources of FMUs that have no library for this machine.
         limits: Limits of each simulation for --places, for example 'step: 10 s'.
@@ -467,7 +467,7 @@ def schema_command(kind: str) -> None:
     """Print the JSON schema of a kind of file, for editors.
 
     Args:
-        kind (KIND): Kind of file: scenario, study, model, refine_result, …, or one of a package.
+        kind (KIND): Kind of file: scenario, study, model, refine_result, …, or a kind of an installed package.
 
     Example: cosim schema scenario
     """

@@ -29,10 +29,10 @@ def replay_command(*, open: bool = False, json: bool = False, **given: Any) -> N
 
     Args:
         log: Measured log: CSV file with time, inputs and measured outputs.
-        fmu (--fmu --plant FMU): FMU to simulate (default: the plant of the base model).
+        fmu (--fmu --plant FMU): FMU to simulate (default: the FMU of the installed base model).
         out (--out -o PATH): Folder for the results (default: a new number in results/NAME of the log).
         start (NAME=VALUE): Start value or parameter of the FMU, for example angle=12deg.
-        columns (--column COLUMN=VARIABLE): Variable of a column, for example stamp=time.
+        columns (--column COLUMN=VARIABLE): Variable of the FMU for a column, for example stamp=time.
 
     Example: cosim replay log.csv --fmu motor.fmu --column speed=w
     """
@@ -93,7 +93,7 @@ def fit_command(*, open: bool = False, json: bool = False, **given: Any) -> None
         sealed (LOG): Log for the final check, not used by the estimate.
         per_log (--per-log NAME): Parameter with a value for each log, such as a load that changes between logs.
         profile (NAME): Parameter whose likelihood is profiled, for an asymmetric interval.
-        columns (--column COLUMN=VARIABLE): Variable of a column, for example stamp=time.
+        columns (--column COLUMN=VARIABLE): Variable of the FMU for a column, for example stamp=time.
 
     Example: cosim fit a.csv b.csv --fmu motor.fmu --vary mass=20% --sealed c.csv; or: cosim fit study.yaml
     """
@@ -150,7 +150,7 @@ def refine(
         report: Write report.html.
         force: Write even if the folder is not empty; results in it are replaced.
         in_process: Load FMUs into this process, for a debugger; limits do not apply.
-        limits: Limits of time and memory in place of those of a study file, for example "total: 10 min".
+        limits: Limits of time and memory, which replace the limits in the study file, for example "total: 10 min".
         progress (in Python): Function of (stage, completed share).
         tell (in Python): Function that shows a note before the search: what this study cannot test.
 
@@ -186,7 +186,7 @@ def refine_command(
     Writes refine.json, the refined model.yaml and plant.fmu, and report.html.
 
     Args:
-        study: A study: model, estimation logs and validation logs.
+        study: Study file, which names a model, estimation logs and validation logs.
         out (--out -o PATH): Folder for the results (default: a new number in results/NAME of the study).
 
     Example: cosim refine study.yaml --out results/refine

@@ -124,10 +124,10 @@ def simulate_command(*, open: bool = False, json: bool = False, **given: Any) ->
         set (NAME=VALUE): Value of a parameter or input, for example angle=12deg.
         input (FILE): CSV file with time and columns named as inputs; values are constant between rows.
         columns (--column COLUMN=INPUT): Input that a column of --input drives, for example volts=voltage.
-        interpolation (held|linear): Values of --input between two rows.
+        interpolation (held|linear): Values of --input between two rows: held at the earlier row, or linear.
         stop (TIME): End of the simulation, for example 10 or 4min (default: that of the FMU or of --input).
         step (TIME): Communication step, for example 0.02 or 20ms (default: that of the FMU).
-        record (PATTERN): Local variables or parameters to record too.
+        record (PATTERN): Local variables or parameters to record in addition to inputs and outputs.
 
     Example: cosim simulate plant.fmu --set mass=2 --stop 10
     """
@@ -156,7 +156,7 @@ def init_command(fmus: list[Path], *, out: Path = Path("scenario.yaml"), json: b
     Guessed connections are marked in the file. The scenario runs without changes.
 
     Args:
-        fmus (FMU): FMU of the system.
+        fmus (FMU): FMUs to connect.
         out (--out -o PATH): Scenario file; an existing file is not overwritten.
 
     Example: cosim init plant.fmu controller.fmu --out scenario.yaml
@@ -209,7 +209,7 @@ def sweep_command(
     Writes sweep.parquet, sweep.json and report.html.
 
     Args:
-        path (SWEEP): A sweep file: a scenario and the values that vary.
+        path (SWEEP): Sweep file, which names a scenario and the values that vary.
         out (--out -o PATH): Folder for the results (default: a new number in results/NAME of the sweep).
         dask (ADDRESS): Address of a Dask scheduler, for example tcp://host:8786.
         resume: Continue the stopped sweep in --out (default: the newest).
