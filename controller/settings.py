@@ -202,16 +202,14 @@ class PredictionSettings(Settings):
     weight_y: float = weight(1.0, "1/m2", "y")
     weight_vy: float = weight(0.5, "s2/m2", "vy")
     weight_tilt: float = weight(1.0, "1/rad2", "each tilt")
-    weight_duty: float = weight(1.0, "1/%2", "the duty of each motor, from the nominal one")
-    duty_min: float = bounded(6.0, "%", (0, 100), "least duty; eq 4.20 was fitted on 6-7 %")
-    duty_max: float = bounded(7.0, "%", (0, 100), "greatest duty; eq 4.20 was fitted on 6-7 %")
-    speed_max: float = bounded(
-        0.0, "m/s", (0, 100), "greatest speed forward or back, 0 for none; given up where it must be"
-    )
+    weight_duty: float = weight(1.0, "1/%2", "the deviation of each duty from its nominal value")
+    duty_min: float = bounded(6.0, "%", (0, 100), "smallest duty; eq 4.20 was fitted on 6-7 %")
+    duty_max: float = bounded(7.0, "%", (0, 100), "largest duty; eq 4.20 was fitted on 6-7 %")
+    speed_max: float = bounded(0.0, "m/s", (0, 100), "largest speed forward or backward, 0: no limit; a soft limit")
     prediction_step: float = bounded(0.02, "s", (0.01, 1), "step of the prediction")
-    horizon: float = bounded(2.0, "s", (0.1, 20), "how far is predicted; then as the LQR would")
+    horizon: float = bounded(2.0, "s", (0.1, 20), "horizon of the prediction; the LQR follows after it")
     iterations_max: float = bounded(
-        200.0, "1", (1, 1e5), "most iterations of the solver a sample; then limits only cut off"
+        200.0, "1", (1, 1e5), "largest number of iterations per sample; beyond it, the command is clipped to the limits"
     )
 
     def invalid_values(self) -> list[str]:
@@ -269,7 +267,7 @@ PUSH, TURN, ROLL = 5e-7, 7e-5, 8.4e-5
 
 def equation_noise(default: float, unit: str, of: str) -> Any:
     """Declare the variance of the equations' error at each sample."""
-    return variance(default, unit, f"process noise of {of} per step, what 1 % of a propeller's thrust makes")
+    return variance(default, unit, f"process noise of {of} per step, as 1 % of a propeller's thrust causes")
 
 
 @frozen

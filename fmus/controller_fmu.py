@@ -294,13 +294,13 @@ class HovercraftTimeVariantController(HovercraftPredictiveController):
 
 # -- estimators -----------------------------------------------------------------------------------
 
-NIS = "normalised innovation squared of (psi, psi_dot, ax), 3 in the mean where it is right"
+NIS = "normalised innovation squared of (psi, psi_dot, ax), 3 in the mean if the filter is consistent"
 SIGNALS = (
     *MEASURED,
-    Port("duty_right", "input", DUTY_NOMINAL, "%", "duty command of the right motor, as it has acted"),
-    Port("duty_left", "input", DUTY_NOMINAL, "%", "duty command of the left motor, as it has acted"),
-    Port("tilt_right", "input", 0.0, "rad", "tilt command of the right propeller, as it has acted"),
-    Port("tilt_left", "input", 0.0, "rad", "tilt command of the left propeller, as it has acted"),
+    Port("duty_right", "input", DUTY_NOMINAL, "%", "duty that acted on the right motor"),
+    Port("duty_left", "input", DUTY_NOMINAL, "%", "duty that acted on the left motor"),
+    Port("tilt_right", "input", 0.0, "rad", "tilt that acted on the right propeller"),
+    Port("tilt_left", "input", 0.0, "rad", "tilt that acted on the left propeller"),
     *FIXES,
     *ESTIMATES,
     Port("y_hat", "output", 0.0, "m", "estimated drift to the right; 0 where it is not estimated"),

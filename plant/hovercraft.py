@@ -61,7 +61,7 @@ OUTPUTS = (
     STATES[8],
     *STATES[5:8],
     STATES[9],
-    Quantity("ax", "m/s2", "what the accelerometer reads forward: contact force / mass"),
+    Quantity("ax", "m/s2", "forward acceleration at the accelerometer: contact force / mass"),
     Quantity("thrust_right", "N", "right thrust with ground effect"),
     Quantity("thrust_left", "N", "left thrust with ground effect"),
     Quantity("tilt_right_actual", "rad", "right propeller tilt", bounds=QUARTER_TURN),

@@ -384,7 +384,7 @@ def gc_command(
         if not yes:
             if json or not sys.stdin.isatty():
                 raise InputError.at(root, "nothing was removed, because the question was not answered; add --yes")
-            if not typer.confirm("Remove?"):
+            if not typer.confirm("Remove these results?"):
                 planned = []
     done = remove(plan.entries) if planned else Removal((), 0)
     kept = "" if plan.entries else ": the newest results of a name are kept; give its earlier runs, such as 'tank/*'"

@@ -50,7 +50,7 @@ static int initialize(Instance *m)
     if (check_bounds(m)) return 1;
     wake(m->values, m->awake);
     if (m->exchange && counting(m->awake) != NULL)
-        return refuse(m, "%s depends on substeps, which model exchange lacks: use co-simulation, or keep the effect dormant", counting(m->awake));
+        return refuse(m, "%s depends on substeps, which model exchange lacks: use co-simulation, or keep the effect off", counting(m->awake));
     m->warned = 0;
     m->time = m->start_time;
     starts(m->values, STATE, MEMORY, u, late);
@@ -224,7 +224,7 @@ static int check_held_inputs(Instance *m)
     for (int k = 0; k < INPUTS; k++)
         if (fabs(m->values[k] - SEEN[k]) > 1e-9 * (1.0 + fabs(SEEN[k]))) /* a host that interpolates rounds */
             return refuse(m, "%s changes between events, at t = %.15g s: a delay or play needs piecewise constant inputs; "
-                             "change it in event mode, or keep the effect dormant", variables[k].name, m->time);
+                             "change it in event mode, or keep the effect off", variables[k].name, m->time);
     return 0;
 }
 
@@ -384,7 +384,7 @@ typedef struct {
 static int directional_begin(Instance *m)
 {
     const unsigned phases = IN(INITIALIZATION) | IN(STEP) | IN(EVENT) | IN(CONTINUOUS);
-    return in_phase(m, phases, "directional derivatives are asked for") || make_readable(m);
+    return in_phase(m, phases, "directional derivatives are requested") || make_readable(m);
 }
 
 static int direction_add(Instance *m, Direction *d, size_t k, double change)

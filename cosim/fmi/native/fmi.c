@@ -225,7 +225,7 @@ FMI(Status) FMI(SetContinuousStates)(FMI(Component) c, const double x[], size_t 
 FMI(Status) FMI(GetDerivatives)(FMI(Component) c, double dx[], size_t count)
 {
     KNOWN(c);
-    if (in_phase(m, SOLVED, "derivatives are asked for") || settle(m)) return FMI(Error);
+    if (in_phase(m, SOLVED, "derivatives are requested") || settle(m)) return FMI(Error);
     const int refused = get_rates(m, dx, count);
     return TRIED(refused);
 }
@@ -233,14 +233,14 @@ FMI(Status) FMI(GetDerivatives)(FMI(Component) c, double dx[], size_t count)
 FMI(Status) FMI(GetEventIndicators)(FMI(Component) c, double z[], size_t count)
 {
     KNOWN(c);
-    if (in_phase(m, SOLVED, "event indicators are asked for") || settle(m)) return FMI(Error);
+    if (in_phase(m, SOLVED, "event indicators are requested") || settle(m)) return FMI(Error);
     return STATUS(get_crossings(m, z, count));
 }
 
 FMI(Status) FMI(GetContinuousStates)(FMI(Component) c, double x[], size_t count)
 {
     KNOWN(c);
-    if (in_phase(m, SOLVED, "states are asked for") || settle(m)) return FMI(Error);
+    if (in_phase(m, SOLVED, "states are requested") || settle(m)) return FMI(Error);
     return STATUS(get_states(m, x, count));
 }
 

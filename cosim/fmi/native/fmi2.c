@@ -153,7 +153,7 @@ fmi2Status fmi2NewDiscreteStates(fmi2Component c, fmi2EventInfo *info)
 {
     KNOWN(c);
     double next = HUGE_VAL;
-    if (in_phase(m, IN(EVENT), "discrete states are asked for") || update(m, &next)) return fmi2Error;
+    if (in_phase(m, IN(EVENT), "discrete states are requested") || update(m, &next)) return fmi2Error;
     info->newDiscreteStatesNeeded = info->terminateSimulation = fmi2False;
     info->nominalsOfContinuousStatesChanged = info->valuesOfContinuousStatesChanged = fmi2False;
     info->nextEventTimeDefined = isfinite(next) ? fmi2True : fmi2False;

@@ -184,7 +184,7 @@ fmi3Status fmi3UpdateDiscreteStates(fmi3Instance c, fmi3Boolean *again, fmi3Bool
 {
     KNOWN(c);
     double next = HUGE_VAL;
-    if (in_phase(m, IN(EVENT), "discrete states are asked for") || update(m, &next)) return fmi3Error;
+    if (in_phase(m, IN(EVENT), "discrete states are requested") || update(m, &next)) return fmi3Error;
     *again = *terminate = *nominals = *values = fmi3False;
     *due = isfinite(next) ? fmi3True : fmi3False;
     *when = isfinite(next) ? next : 0.0;
