@@ -283,7 +283,9 @@ def scenario_text(
     ]
     lines += [f"start_time: {_whole(times.start)} # s"] if times.start else []
     if algorithm is not DEFAULT:
-        lines.append(f"algorithm: {algorithm.name} # algebraic loop between the FMUs; or state `order: [...]`")
+        lines.append(
+            f"algorithm: {algorithm.name} # because of an algebraic loop between the FMUs; or set `order: [...]`"
+        )
     lines.append("components:")
     for part in parts:
         lines += _component(folder, part, times)

@@ -205,8 +205,8 @@ def reason_of(error: Any) -> str:
     if kind == "is_instance_of":
         return "it should be a list" if context["class"] == "Sequence" else f"it should be of type {context['class']}"
     if kind == "string_pattern_mismatch":
-        of = "component.variable, the component's name" if "\\." in str(context.get("pattern")) else "a name"
-        return f"it should be {of} of letters, digits and _, and not begin with a digit"
+        of = "component.variable, where component has" if "\\." in str(context.get("pattern")) else "a name with"
+        return f"it should be {of} only letters, digits and _, and no digit at the beginning"
     if kind in {"too_short", "too_long"} and context.get("field_type") in {"List", "Tuple"}:
         bound = f"at least {context['min_length']}" if kind == "too_short" else f"at most {context['max_length']}"
         return f"it should have {bound} entries, not {context.get('actual_length')}"

@@ -154,7 +154,7 @@ def _checked(path: Path, kind: Contents = FMU) -> Iterator[zipfile.ZipFile]:
                 if is_full(error):
                     raise
                 reason = str(error) if isinstance(error, zipfile.BadZipFile) else "it cannot be unpacked"
-                raise BadArchive(f"its archive is damaged: {reason}") from None
+                raise BadArchive(f"its archive is damaged: {reason}; copy or export it again") from None
 
 
 def check_xml(name: str, text: bytes, standard: str) -> None:

@@ -166,7 +166,7 @@ def points_along(
     else:
         values = _columns(results, name, source.states)
         if names := ", ".join(np.array(source.states)[np.isnan(values).all(axis=0)]):
-            raise InputError.at(AT, f"{name} of {scenario} does not record {names}")
+            raise InputError.at(AT, f"{name} of {scenario} does not record {names}; give the point as NAME=VALUE")
     return source, [Point(float(time[k]), values[k], inputs[k]) for k in rows], notes
 
 
@@ -217,7 +217,7 @@ def _simulate(source: EquationSource, start: Mapping[str, Any], time: Array, inp
 def _check_times(scenario: Path, times: Array, first: float, last: float) -> None:
     for time in times.tolist():
         if not first - rounding(first) <= time <= last + rounding(last):
-            text = f"{time:g} s is outside the run of {scenario} from {first:g} to {last:g} s"
+            text = f"{time:g} s is outside the run of {scenario}; give a time from {first:g} to {last:g} s"
             raise InputError.at(AT, text)
 
 

@@ -72,7 +72,9 @@ class EquationSource:
         try:
             return function(*arguments)
         except (ArithmeticError, ValueError) as error:
-            raise SimulationError(self.name, t, f"the equations are undefined at this point: {error}") from None
+            raise SimulationError(
+                self.name, t, f"the equations fail at this point: {error}; choose another operating point"
+            ) from None
 
     def evaluate(self, t: float, x: Array, u: Array) -> Array:
         """Return derivatives and outputs in one array."""

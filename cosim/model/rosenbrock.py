@@ -70,7 +70,7 @@ def factor(a: list[list[float]]) -> list[int]:
         a[c], a[pivot] = a[pivot], a[c]
         order[c], order[pivot] = order[pivot], order[c]
         if not abs(a[c][c]) > 0.0:
-            raise ArithmeticError("the equations of an implicit step are singular")
+            raise ArithmeticError("the equations of an implicit integration step are singular")
         for i in range(c + 1, n):
             a[i][c] /= a[c][c]
             for j in range(c + 1, n):

@@ -182,7 +182,9 @@ def changes_of(building: Building) -> Events:
         point = first_point(event.at, scenario.start_time, scenario.step)
         if not 0 <= point <= scenario.steps:
             end = scenario.start_time + scenario.duration
-            building.note(("events", k, "at"), f"{event.at:g} s is not within {scenario.start_time:g} … {end:g} s")
+            building.note(
+                ("events", k, "at"), f"{event.at:g} s is outside the run, {scenario.start_time:g} … {end:g} s"
+            )
             continue
         for target, written in event.set.items():
             name, _, variable = target.partition(".")

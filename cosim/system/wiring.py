@@ -241,7 +241,7 @@ def _objection(connection: Connection, source: Signal, target: Signal) -> str:
     """Return the reason why two signals cannot be connected, or ""."""
     ends = f"{connection.source} is {source.kind or 'a number'}, {connection.target} is {target.kind}"
     if not is_compatible(source.kind, target.kind):
-        return f"types do not agree: {ends}"
+        return f"types do not agree: {ends}; connect equal types"
     if source.declared and source.declared == target.declared and source.items != target.items:
         return (
             f"enumerations {source.declared} with different items: {connection.source} has "
@@ -290,7 +290,9 @@ def _transfers(
     try:
         if len(sources) != len(targets):
             text = f"{connection.source} to {connection.target}"
-            raise ValueError(f"{text}: {len(sources)} values cannot be connected to {len(targets)}")
+            raise ValueError(
+                f"{text}: {len(sources)} values cannot be connected to {len(targets)}; connect equal sizes"
+            )
         return tuple(_transfer(building, connection, *pair) for pair in zip(sources, targets, strict=True))
     except ValueError as error:
         building.note(("connections", k), str(error))
@@ -355,8 +357,8 @@ def _check_faults(building: Building) -> None:
             building.note(("faults", k, "on"), f"{fault.on} is not connected{hint}")
         if getattr(scenario.components.get(fault.on.partition(".")[0]), "step", None) is not None:
             message = (
-                f"{fault.on} belongs to a component with its own step; faults need components that step with the "
-                "scenario"
+                f"{fault.on} belongs to a component with its own step, where faults are not possible; remove this step "
+                "or the fault"
             )
             building.note(("faults", k, "on"), message)
         key = needs.get(fault.kind)
