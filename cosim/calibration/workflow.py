@@ -221,9 +221,8 @@ def _refuse_own_step(request: Request, given: FitInput) -> None:
         return  # the first simulation will report it
     if own:
         message = (
-            f"its co-simulation has an internal step of about {own.length:.3g} s, above the step of "
-            f"{log.step:.3g} s of the "
-            "logs, so its results are wrong; export it with a shorter step, or record rows every "
+            f"its co-simulation has an internal step of about {own.length:.3g} s, above the step of {log.step:.3g} s "
+            "of the logs, so its results are wrong; export it with a shorter step, or record rows every "
             f"{own.length:.3g} s"
         )
         raise InputError.at(request.fmu, message)

@@ -277,8 +277,9 @@ def check_signature(fmu: Path, key: Path) -> None:
     try:
         public.verify(base64.b64decode(identity["signature"]), bytes.fromhex(content))
     except (ValueError, optional("cryptography.exceptions", str(key)).InvalidSignature):
-        reason = f"was changed after it was signed, or signed with a key other than that of {key.name}"
-        raise InputError.at(fmu, f"{reason}; get it from its author again") from None
+        raise InputError.at(
+            fmu, f"differs from what the owner of {key.name} signed; get it from its author again"
+        ) from None
 
 
 def _key(path: Path, kind: Literal["private", "public"]) -> Any:

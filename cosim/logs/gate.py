@@ -110,9 +110,8 @@ def _timing(log: Log) -> Iterator[Finding]:
         if places.size:
             rows, first, longest = int(missing[chosen].sum()), float(log.time[places[0]]), float(dt[places].max())
             message = (
-                f"{counted(rows, 'row')} missing in {counted(places.size, 'place')}, first after t = {first:.6g} "
-                f"s, the longest {amount(longest, 's')}; inputs are held constant there, so changes in "
-                "between are lost"
+                f"{counted(rows, 'row')} missing in {counted(places.size, 'place')}, first after t = {first:.6g} s, "
+                f"the longest {amount(longest, 's')}; inputs are held constant there, so changes in between are lost"
             )
             numbers = {"rows": rows, "places": places.size, "first": first, "longest": longest}
             yield Finding("warning", kind, "time", message, numbers)
@@ -219,9 +218,8 @@ def _outputs(log: Log) -> Iterator[Finding]:
             noise, span = noise_level(readings), float(np.ptp(readings))
             if usual >= 2.0 and np.mean(np.abs(runs - usual) <= 1.0) > 0.8:
                 message = (
-                    f"changes only every {usual:.0f} rows: a slower sensor with repeated values. Empty the cells "
-                    "in between; otherwise "
-                    "the repetition looks like a delay"
+                    f"changes only every {usual:.0f} rows: a slower sensor with repeated values. Empty the cells in "
+                    "between; otherwise the repetition looks like a delay"
                 )
                 yield Finding("warning", "held", name, message)
             elif usual == 1.0 and most * log.step > 0.2 and most >= 10 and noise > 1e-5 * span:
@@ -240,9 +238,8 @@ def outliers(log: Log, spikes: Spikes) -> Iterator[Finding]:
         first, worst = float(log.time[rows[0]]), float(out_of_line(log, log.outputs[name])[rows].max())
         count, deviation = counted(rows.size, "reading"), amount(worst, log.units[name], difference=True)
         message = (
-            f"has {count} (not explained by neighbours or model), first at t = {first:.6g} s, the "
-            f"largest deviation {deviation}; `cosim refine` ignores such readings, other commands use them: "
-            "empty the cells"
+            f"has {count} (not explained by neighbours or model), first at t = {first:.6g} s, the largest deviation "
+            f"{deviation}; `cosim refine` ignores such readings, other commands use them: empty the cells"
         )
         yield Finding("warning", "outliers", name, message)
 
@@ -331,9 +328,8 @@ def _against_rate(log: Log, name: str, rate: str, *, declared: bool) -> Iterator
     severity: Severity = "fault" if declared else "warning"
     if slope < 0.0:
         message = (
-            f"has the opposite sign of d {name}/dt (slope {plain(float(slope))}); reverse the sign of one: the "
-            "rate must be "
-            "positive while the signal increases"
+            f"has the opposite sign of d {name}/dt (slope {plain(float(slope))}); reverse the sign of one: the rate "
+            "must be positive while the signal increases"
         )
         yield Finding(severity, "sign", rate, message)
     elif any(0.7 < slope / scale < 1.4 for scale in (DEGREES, 1.0 / DEGREES)):
@@ -411,8 +407,7 @@ def _axis_findings(log: Log, frame: PlanarFrame) -> Iterator[Finding]:
         if abs(after - before) > 0.5 * largest:
             message = (
                 f"jumps by {amount(largest, log.units[name], difference=True)} in the row at t = "
-                f"{float(log.time[good[k + 1]]):.6g} s, far more than in other rows: the sensor may have been "
-                "reset, or "
-                "two logs joined"
+                f"{float(log.time[good[k + 1]]):.6g} s, far more than in other rows: the sensor may have been reset, "
+                "or two logs joined"
             )
             yield Finding("warning", "jumps", name, message)

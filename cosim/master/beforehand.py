@@ -370,9 +370,8 @@ def _note(
 
     if failure and (pairs := [pair for pair in measured.pairs if is_part(pair[1])]):
         return (
-            f"{loop.name} is an algebraic loop that no FMU declares: measured before the run, {facts(pairs)}. "
-            "The loop is not solved, and some inputs have the values of the previous step, because solving it "
-            f"fails: {failure}"
+            f"{loop.name} is an algebraic loop that no FMU declares: measured before the run, {facts(pairs)}. The loop "
+            f"is not solved, and some inputs have the values of the previous step, because solving it fails: {failure}"
         )
     if pairs := [pair for pair in measured.at_start if is_part(pair[1]) and pair[1] in held]:
         members = [stage.component for stage in system.stages if stage.component.name in loop.members]

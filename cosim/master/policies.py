@@ -289,9 +289,8 @@ class ControlledSteps(Policy):
             names = ", ".join(self.master.system.columns[k] for k in small[:MOST_NAMED])
             notes.append(
                 f"{small.size} signals are far below their nominal values (1 if the FMU declares none), so that the "
-                f"tolerance {tolerance:g} allows errors of up to "
-                f"{np.max(allowed[small] / self.largest[small]):.2g} times the signal: {names}. Declare their nominal "
-                "values in the FMUs, or give a smaller tolerance"
+                f"tolerance {tolerance:g} allows errors of up to {np.max(allowed[small] / self.largest[small]):.2g} "
+                f"times the signal: {names}. Declare their nominal values in the FMUs, or give a smaller tolerance"
             )
         if control.estimator == "residual" and not self.sources:
             notes.append(

@@ -247,9 +247,8 @@ def choose_way(exchange: Structure, own_step: OwnStep | None, offered: Sequence[
         objection = "model exchange has no continuous states"
     if objection is None:
         return "model-exchange", (
-            "its states and derivatives are accessible, no events occur along the logs, and the product of step "
-            "and largest "
-            f"eigenvalue is {stiffness:.2g}, at most {FASTEST:g}"
+            "its states and derivatives are accessible, no events occur along the logs, and the product of step and "
+            f"largest eigenvalue is {stiffness:.2g}, at most {FASTEST:g}"
         )
     if "co-simulation" not in offered:
         return "model-exchange", f"it has no co-simulation, although {objection}"

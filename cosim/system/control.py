@@ -77,8 +77,7 @@ def control_of(building: Building, transfers: Sequence[Transfer]) -> Control | N
         if not takes_any_step(block.description) or sampled_by(block.path) is not None:
             message = (
                 f"{name} accepts only one step length, so its steps cannot be controlled; set a step for this "
-                "component "
-                f"(components.{name}.step)"
+                f"component (components.{name}.step)"
             )
             building.note(("components", name), message)
     obstacle = rollback_obstacle(controlled)

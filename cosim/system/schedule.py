@@ -172,15 +172,13 @@ class _Graph:
             elif names:
                 cure += f" and {join_names(names)} cannot save a state but may have direct feedthrough"
             sentence = (
-                f"{loop.name} may be an algebraic loop. It is not solved because of {key}, so some inputs have "
-                "the values "
-                f"of the previous step; {cure}"
+                f"{loop.name} may be an algebraic loop. It is not solved because of {key}, so some inputs have the "
+                f"values of the previous step; {cure}"
             )
             if key == FEEDTHROUGH and not assumptions:
                 sentence = Note(
                     f"{loop.name} is not an algebraic loop at the start, as measured or declared by feedthrough: "
-                    "[...]; "
-                    f"if direct feedthrough occurs later, {cure}"
+                    f"[...]; if direct feedthrough occurs later, {cure}"
                 )
             yield replace(loop, left_open=sentence)
 

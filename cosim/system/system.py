@@ -162,9 +162,8 @@ def build_system(file: ScenarioFile) -> System:
     rows = scenario.duration / scenario.step + 1.0
     if (size := rows * signals * BYTES) > MOST_RESULTS:
         message = (
-            f"would write {rows:.3g} rows of {signals} signals, {size / 1e9:.3g} GB, more than "
-            f"{MOST_RESULTS / 1e9:g} GB; "
-            "use a shorter duration or longer steps"
+            f"would write {rows:.3g} rows of {signals} signals, {size / 1e9:.3g} GB, more than {MOST_RESULTS / 1e9:g} "
+            "GB; use a shorter duration or longer steps"
         )
         building.note(("duration",), message)
     _check_sampling(building)

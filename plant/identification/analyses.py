@@ -387,9 +387,8 @@ def projection(m: Measurement) -> Result:
         largest[letter] = float(np.nanmax(np.abs(np.mean(off, axis=0))))
     result.details = {"largest_deviation": largest}
     result.notes.append(
-        f"V(α) deviates from cos α by at most {largest['V']:.4f}, H(α) from sin α by {largest['H']:.4f}, in bins "
-        "of 2.5°: sine "
-        "and cosine describe the projection."
+        f"V(α) deviates from cos α by at most {largest['V']:.4f}, H(α) from sin α by {largest['H']:.4f}, in bins of "
+        "2.5°: sine and cosine describe the projection."
     )
     first, same = m.recordings[0], _equally_long(m)
     alpha = m.tilt(first)[m.inside(first)]
@@ -425,9 +424,8 @@ def moment(m: Measurement) -> Result:
     steps = change / (bench.converter_range / bench.converter_levels)
     result.details = {"steps_of_converter": steps}
     result.notes.append(
-        f"Over the whole tilt the cell voltage changes by {steps:.1f} converter steps ({1000 * change:.1f} mV): "
-        "noise and "
-        "the low pass make changes below one step measurable."
+        f"Over the whole tilt the cell voltage changes by {steps:.1f} converter steps ({1000 * change:.1f} mV): noise "
+        "and the low pass make changes below one step measurable."
     )
     alpha, arm = first.commanded_tilt(m.bench)[m.inside(first)], result.estimates[0].value
     line = (f"m·g·l·sin α, l = {1000 * arm:.4f} mm", np.degrees(alpha), 1000.0 * arm * per_arm(alpha))

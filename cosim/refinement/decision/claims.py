@@ -298,7 +298,7 @@ def _remark_texts(c: Claims, remaining: NamedValues, file: str, nearest: str) ->
         yield f"Not claimed, because unmodelled dynamics remain: {disputed}."
     is_lacking = misfit.probability < MISFIT or not c.residual["signals"]
     if c.claimed is not None and is_lacking and (text := _misfit_text(c)):
-        yield _joined("", f"{text}.")
+        yield f"{_joined('', text)}."
     if c.grade == "part" and c.name != "ambiguous" and misfit.remains > LITTLE:
         channel = max(misfit.remaining, key=lambda n: misfit.remaining[n])
         rest = percent(misfit.remaining[channel]) if misfit.remaining[channel] < 1.0 else "all"
