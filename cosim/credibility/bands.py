@@ -203,7 +203,7 @@ class Coverage(BaseModel):
     @property
     def sentence(self) -> str:
         """Return the coverage in words."""
-        shares = join_names([f"{percent(share)} of {name}" for name, share in self.outputs.items()])
+        shares = join_names([f"{percent(share)} of the errors of {name}" for name, share in self.outputs.items()])
         inside = f"{percent(self.inside)} of the rows of sealed logs are in the region of the other logs"
         return f"{inside}. There, the {100 * LEVEL:g} % error bands of the FMU contain {shares}."
 
