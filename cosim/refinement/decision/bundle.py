@@ -602,7 +602,7 @@ def between_rows(problem: Problem, base: Hypothesis) -> OtherInputs:
     setting = f"{{{', '.join(f'{name}: {other}' for name, (_, other) in zip(names, ways, strict=True))}}}"
     setting = ways[0][1] if len(set(ways)) == 1 else setting
     inputs = join_names([f"{name} is assumed to be {way}" for name, (way, _) in zip(names, ways, strict=True)])
-    warning = f"between rows, {inputs}. The other way {clearly}; if the rig commands its inputs that way, "
+    warning = f"between rows, {inputs}. The alternative {clearly}; if the rig commands its inputs that way, "
     return OtherInputs(gain, f"{warning}write `inputs: {setting}` in the study")
 
 
