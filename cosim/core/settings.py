@@ -30,7 +30,7 @@ SHOWN = 60  # characters of a value in a message
 
 
 def of_python(value: Any) -> Any:
-    """Convert a number, text or array of another library to the Python type; raise ValueError if the value is neither."""
+    """Convert a number, text or array of another library to the Python type; raise ValueError for other values."""
     if hasattr(value, "tolist") and hasattr(value, "dtype"):
         value = value.tolist()
     for kind in (bool, int, float):  # also subclasses, e.g. an item of an enumeration or numpy's float64

@@ -1,4 +1,4 @@
-"""The model description of an FMU, read with tolerance for schema violations, and checks whether the FMU can run."""
+"""Model descriptions of FMUs, also with schema violations, and checks of whether an FMU can run."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ PLAIN = ("RuntimeError", "ValueError", "ArithmeticError", "Exception")
 
 
 def reason_of(error: Exception) -> str:
-    """Return FMPy's error in one line, without Python jargon."""
+    """Return FMPy's error in one line, without terms of Python."""
     if isinstance(error, (TypeError, AttributeError, LookupError, UnboundLocalError, ArithmeticError)):
         return "a required element or attribute of its modelDescription.xml is missing or misplaced"
     if isinstance(error, ValueError):
@@ -38,7 +38,7 @@ def reason_of(error: Exception) -> str:
 
 
 def check_numbers(path: Path, version: str) -> None:
-    """Raise FmuError for text in place of a number. Only descriptions with schema violations need this check."""
+    """Raise FmuError for text in place of a number; needed only for descriptions with schema violations."""
     root = ElementTree.fromstring(description_of(path))
     for node in (node for section in SECTIONS for part in root.iterfind(section) for node in part.iter()):
         is_start = version == "1.0" and node.tag in {"Real", "Integer", "Enumeration"}
@@ -54,7 +54,7 @@ def check_numbers(path: Path, version: str) -> None:
 
 
 def without_wrapping(words: str) -> str:
-    """Return the message of a Python exception without the text that pythonfmu adds."""
+    """Return the message of an exception in a Python FMU without the text that pythonfmu adds to it."""
     match = WRAPPED.match(words)
     if match is None:
         return words
@@ -63,11 +63,11 @@ def without_wrapping(words: str) -> str:
 
 
 def validation(path: Path, description: Any) -> list[str]:
-    """Return FMPy's messages on variable names and model structure of a description that has been read."""
+    """Return FMPy's messages on the variable names and model structure of a parsed description."""
     import fmpy
     from fmpy.model_description import ValidationError
 
-    # FMPy's parser needs some milliseconds for a name.
+    # limited, since FMPy's parser needs milliseconds per name
     names = not all(PLAIN_NAME.fullmatch(v.name) for v in description.modelVariables)
     try:
         fmpy.read_model_description(str(path), validate_variable_names=names, validate_model_structure=True)
