@@ -41,11 +41,12 @@ def solver(name: Solver | None, fmu: Any, symbol: Callable[[str], str], **settin
     Both have the same interface:
 
     step(t, target): Integrate from t [s] towards the target; return True if a state event occurred, the direction in
-    which each indicator crossed zero (0 for none), and the time reached, which is just after an event. CVODE returns at
-    the target, at an event, or after one step (after `reset`, or if `single_steps` is set); solve_ivp returns after
-    each accepted step. reset(t, longest): Restart from the states of the FMU; no step is longer than `longest` [s]
-    until the next reset. is_first: True if the next step is the first one after a reset. last_step: Length of the last
-    accepted step [s].
+        which each indicator crossed zero (0 for none), and the time reached, which is just after an event. CVODE
+        returns at the target, at an event, or after one step (after `reset`, or if `single_steps` is set); solve_ivp
+        returns after each accepted step.
+    reset(t, longest): Restart from the states of the FMU; no step is longer than `longest` [s] until the next reset.
+    is_first: True if the next step is the first one after a reset.
+    last_step: Length of the last accepted step [s].
 
     Args:
         symbol: Name of an FMI function → its name in the library, for calls from C.
