@@ -41,9 +41,10 @@ class Slave(Fmi2Slave):  # type: ignore[misc]  # pythonfmu is untyped
     Subclasses provide `ports` and four methods:
 
         initialize(values): Initialize from values set by the host, and write the outputs. Called after every change of
-        a value by the host. advance(t, h): Step from `t` to `t + h` [s] with constant inputs, and write the outputs.
-        snapshot(): Return the state, apart from the values of variables, as JSON types. restore(snapshot): Restore the
-        state from a snapshot.
+            a value by the host.
+        advance(t, h): Step from `t` to `t + h` [s] with constant inputs, and write the outputs.
+        snapshot(): Return the state, apart from the values of variables, as JSON types.
+        restore(snapshot): Restore the state from a snapshot.
     """
 
     ports: ClassVar[tuple[Port, ...]]

@@ -123,8 +123,8 @@ class Disturbance(Part):
 class Event(Part):
     """Values set for parameters and inputs at a time.
 
-    at:  time [s]; the values are set at the first communication point at or after this time set: `component.variable` →
-    value
+    at:  time [s]; the values are set at the first communication point at or after this time
+    set: `component.variable` → value
     """
 
     at: Seconds
@@ -227,9 +227,10 @@ class FixComponent(Part):
     block:   fix
     rate:    fixes per second [Hz], the first one at the start of the run; each fix is taken at the first communication
         point at or after its time
-    latency: delay from measurement to output [s] dropout: probability of losing a fix, 0 … 1 signals: name → unit and
-    noise; all signals are measured at the same time. Output `NAME_meas` is the latest fix, output `fix` its number, 0
-    before the first fix
+    latency: delay from measurement to output [s]
+    dropout: probability of losing a fix, 0 … 1
+    signals: name → unit and noise; all signals are measured at the same time. Output `NAME_meas` is the latest fix,
+        output `fix` its number, 0 before the first fix
     """
 
     block: Literal["fix"]
@@ -330,7 +331,8 @@ class Criterion(Part):
 class ValidCriterion(Part):
     """Required share of the time that an FMU spends in the region covered by the logs of its fit.
 
-    of:  component whose FMU has a record of credibility min: required share, 0 … 1
+    of:  component whose FMU has a record of credibility
+    min: required share, 0 … 1
     """
 
     of: Name
