@@ -1,1 +1,1 @@
-"""Components for the master: FMUs, references and playback, and noise on connections."""
+"""Components that the master steps: FMUs, references and playback; noise and faults of connections."""

@@ -1,7 +1,7 @@
 """Compilation of FMU sources without a library for this platform, with the user's permission.
 
-Foreign sources are foreign programs. They are compiled only under the option `--compile` or the Python argument
-`compile=True`. `permission` holds the choice, and each FMU carries the choice into its worker process.
+Sources are programs of other people. They are compiled only with the option `--compile` or the Python argument
+`compile=True`. `permission` stores the choice, and each FMU passes it to its worker process.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ from cosim.fmi.native.compiler import CompilerFailed, NoCompiler, fmi_headers, l
 
 SOURCES = "sources"
 LIMIT = 300.0  # time limit [s] of the compiler per FMU
-MAX_LINES, MAX_WIDTH = 20, 200  # excerpt of the compiler output: lines, characters per line
+MAX_LINES, MAX_WIDTH = 20, 200  # shown lines of the compiler's output, and characters per line
 OPTIMIZED = ("-O3", "-DNDEBUG", "-w")
-PLAIN_NAMES = ("-DFMI2_OVERRIDE_FUNCTION_PREFIX", "-DFMI3_OVERRIDE_FUNCTION_PREFIX")  # names as in a shared library
+PLAIN_NAMES = ("-DFMI2_OVERRIDE_FUNCTION_PREFIX", "-DFMI3_OVERRIDE_FUNCTION_PREFIX")  # names of shared libraries
 LANGUAGES = (
     "C89:gnu90 C90:gnu90 C99:gnu99 C11:gnu11 C17:gnu17 C18:gnu17 C23:gnu2x C++98:gnu++98 C++03:gnu++03 "
     "C++11:gnu++11 C++14:gnu++14 C++17:gnu++17 C++20:gnu++20 C++23:gnu++2b"
@@ -34,7 +34,7 @@ Answer = TypeVar("Answer")
 
 @contextmanager
 def compiling(allowed: bool) -> Iterator[None]:
-    """Set the permission to compile within a `with` block."""
+    """Allow or forbid compilation of sources within a `with` block."""
     token = permission.set(allowed)
     try:
         yield
@@ -43,16 +43,16 @@ def compiling(allowed: bool) -> Iterator[None]:
 
 
 def with_permission(allowed: bool, function: Callable[..., Answer], *arguments: Any) -> Answer:
-    """Call a function with the permission of another process."""
+    """Call a function with the permission to compile that another process has."""
     with compiling(allowed):
         return function(*arguments)
 
 
 def compile_library(folder: Path, description: Any, identifier: str) -> Path:
-    """Compile an unpacked FMU's sources, or use the cache.
+    """Compile the sources of an unpacked FMU, or take the library from the cache.
 
     Returns:
-        The library in the FMU's folder.
+        Path of the library, in the FMU's folder.
 
     Raises:
         FmuError: The sources are incomplete or do not compile.
@@ -97,8 +97,8 @@ def compile_library(folder: Path, description: Any, identifier: str) -> Path:
 def _declared_sources(root: Path, description: Any, identifier: str) -> tuple[list[str], list[str], list[str]]:
     """Return the files to compile, the options of the compiler, and the folders of headers.
 
-    The first build description replaces one that is missing for the library. Without any, `all.c` is compiled, else all
-    files.
+    If the library has no build description of its own, the first one applies. Without build descriptions, `all.c` is
+    compiled or, if it is missing, all files.
     """
     builds = sorted(description.buildConfigurations, key=lambda build: build.modelIdentifier != identifier)
     sets = builds[0].sourceFileSets if builds else []

@@ -11,14 +11,14 @@ from cosim.core.errors import SimulationError
 from cosim.core.units import SI, definition_of
 
 Row = ctypes.Array[ctypes.c_double]
-PUT, ADVANCE, GET = range(3)  # calls counted in `doing`
+PUT, ADVANCE, GET = range(3)  # numbers of calls in `doing`
 
 
 class EarlyEnd(SimulationError):
     """End of a simulation at time `reached` [s], requested by an FMU. It is not a failure.
 
     Attributes:
-        readable: Whether the outputs are valid at that time.
+        readable: True if the outputs are valid at that time.
     """
 
     def __init__(self, component: str, reached: float, reason: str, *, readable: bool = False) -> None:
@@ -34,10 +34,10 @@ class Signal:
         definition: SI exponents, factor and offset of the unit; None if undefined.
         kind: FMI type name; "" for a number outside FMUs.
         items: Name → number of an enumeration; its type name is `declared`.
-        array: Name of the array of an element.
-        local: Whether the signal is recorded only and cannot be connected.
-        relative: Whether the signal is a difference, so that unit offsets do not count.
-        discrete: Whether its value holds between events, by its declared variability.
+        array: Name of the array that contains this element; "" for a scalar.
+        local: True for a signal that is recorded and cannot be connected.
+        relative: True for a difference, to which offsets of units do not apply.
+        discrete: True if the value is constant between events, by its declared variability.
     """
 
     name: str
@@ -53,14 +53,14 @@ class Signal:
 
     @property
     def is_whole(self) -> bool:
-        """Return whether all values are whole numbers."""
+        """Return True if all values of the signal's type are integers."""
         return self.kind not in {"", "Real", "Float32", "Float64"}
 
     def conversion(self, to: Signal) -> tuple[float, float] | None:
-        """Return factor and offset to another signal's unit. None means different dimensions.
+        """Return factor and offset to another signal's unit. None: the dimensions differ.
 
-        Units are compared by definition: the definitions of two FMUs may give one name different sizes. A unit that
-        only one side defines is the same as one of its name on the other side.
+        Units are compared by definition, because two FMUs may define a name differently. If only one side defines a
+        unit, the same name on the other side means the same unit.
         """
         is_same_name = self.unit == to.unit
         if not self.unit or not to.unit or (is_same_name and None in (self.definition, to.definition)):
@@ -69,7 +69,7 @@ class Signal:
         here, there = (s.definition or definition_of(s.unit) for s in (self, to))
         if here is None or there is None:
             return None
-        powers = len(SI) - is_same_name  # Tools write angles of one unit with rad and without dimension.
+        powers = len(SI) - is_same_name  # some tools omit rad in units with angles
         if here == there or here[:powers] != there[:powers]:
             return (1.0, 0.0) if here == there else None
         offset = 0.0 if self.relative and to.relative else (here[-1] - there[-1]) / there[-2]
@@ -82,12 +82,12 @@ class Component:
     The master writes inputs to `row[first:]`; the component writes outputs directly behind them. Values beyond the
     exact range of doubles (text, 64-bit integers) use `beside[first_beside:]` in the same way.
 
-    The methods with a body are those of a component with all its signals in the row, whose `get` or `advance` reads the
-    inputs.
+    The default methods suit a component whose signals are all in the row and whose `get` or `advance` reads the inputs.
 
     Attributes:
-        nominal_step: Whether steps have nominal length; else each step ends exactly at the start time of the next.
-        saves: Whether `checkpoint` gives a state; otherwise a resumed run makes all steps again.
+        nominal_step: True if all steps have the same length; otherwise each step ends exactly at the start time of the
+            next.
+        saves: True if `checkpoint` returns a state; otherwise a resumed run repeats all steps.
     """
 
     name: str
@@ -98,17 +98,17 @@ class Component:
     nominal_step: bool = True
 
     def depends_on(self, name: str, outputs: Collection[str] | None = None) -> bool | None:
-        """Return whether an output depends directly on an input.
+        """Return True if an output depends directly on an input (direct feedthrough).
 
         Args:
             outputs: Outputs to consider; None for all.
 
         Returns:
-            None if the FMU declares no dependencies.
+            True or False; None if the FMU declares no dependencies.
         """
 
     def bind(self, row: Row, first: int, beside: list[Any] | None = None, first_beside: int = 0) -> None:
-        """Set the places of the signals, inputs first."""
+        """Set the indices of the signals in the row and beside it, inputs first."""
         self._row, self._first = row, first
 
     def open(self, start: float, stop: float) -> None:
@@ -129,7 +129,7 @@ class Component:
     def stepping(self, doing: MutableSequence[int], first: int) -> Callable[[float, float], None]:
         """Return a function of (t, h) for a step: put the inputs, advance by h, get the outputs.
 
-        The function is `in_turn` or a faster equivalent. It is valid after `start`.
+        The function, which is `in_turn` or a faster equivalent, is valid after `start`.
         """
         return in_turn(self, doing, first, puts=False)
 
@@ -141,21 +141,21 @@ class Component:
         return type(self).checkpoint is not Component.checkpoint
 
     def checkpoint(self) -> Any:
-        """Return the state in JSON types and bytes, if possible."""
+        """Return the state as JSON types and bytes; None if this is impossible."""
 
     def restore(self, state: Any) -> None:
-        """Restore a state of another process, after initialization."""
+        """Restore a state that another process has saved, after initialization."""
 
 
 def in_turn(
     component: Component, doing: MutableSequence[int], first: int, *, puts: bool = True
 ) -> Callable[[float, float], None]:
-    """Return a function that puts, advances and gets.
+    """Return a function of (t, h) that puts the inputs, advances and gets the outputs.
 
     Before each call `doing[0]` becomes `first` + PUT, ADVANCE or GET.
 
     Args:
-        puts: Whether any input is connected.
+        puts: True if any input is connected.
     """
     put, advance, get = component.put, component.advance, component.get
     putting, advancing, getting = first + PUT, first + ADVANCE, first + GET
@@ -173,7 +173,7 @@ def in_turn(
 
 
 def without_step(component: Component, doing: MutableSequence[int], first: int) -> Callable[[], None]:
-    """Return a function that puts and gets, as `in_turn` without advancing."""
+    """Return a function that puts the inputs and gets the outputs, without a step between."""
 
     def exchange() -> None:
         doing[0] = first + PUT

@@ -1,12 +1,12 @@
 """Coupling algorithms: names, and plans of a communication step.
 
 An algorithm is a subclass of `Algorithm` with an object in `OWN`, or registered by a package in the group
-`cosim.algorithms`; docs/extending.md shows an example. The loops in Python and C, sweeps, export, drafts and diagrams
-follow the plan and never compare names.
+`cosim.algorithms`; docs/extending.md shows an example. Other modules use the plan, and never compare names of
+algorithms.
 
-In sequence, a component with direct feedthrough from an input steps after the source of the input and sees its new
-value. All other inputs are held: they see the value from the step's start. Components that need each other's outputs
-of the same time are an algebraic loop.
+In a sequential algorithm, a component steps after the sources of its inputs with direct feedthrough, and gets their new
+values. All other inputs are held: they have the values from the start of the step. Components that need each other's
+outputs at the same time form an algebraic loop.
 """
 
 from __future__ import annotations
@@ -28,20 +28,20 @@ Edge = tuple[str, str, str, str]  # source component, target component, target i
 T = TypeVar("T")
 Components = Mapping[str, Component]
 Order = Sequence[str] | None
-MOST_PERMUTED = 6  # components of a loop, beyond which their order is that of the file
+MOST_PERMUTED = 6  # components of a loop whose best order is searched; larger loops keep the order of the file
 
 
 class Plan(NamedTuple):
     """Plan of a communication step.
 
-    Components step in order. Immediate values are copied right before their target steps, all others at the end.
+    Components step in this order. Immediate values are copied just before their target steps, all others at the end.
 
     Attributes:
         order: Names of all components.
-        immediate: For each connection, whether its value is copied right before the target steps.
+        immediate: One truth value per connection: True if the value is copied just before the target steps.
         notes: Warnings about assumptions.
-        loops: Components of each algebraic loop, consecutive in `order`. Immediate connections within a loop are
-            solved at each communication point.
+        loops: Components of each algebraic loop, consecutive in `order`. The values of immediate connections within a
+            loop are solved for at each communication point.
     """
 
     order: tuple[str, ...]
@@ -51,13 +51,13 @@ class Plan(NamedTuple):
 
 
 class Assumption(CheckWarning):
-    """A warning that a component is taken to have no direct feedthrough."""
+    """A warning that cosim assumes a component to have no direct feedthrough."""
 
 
 class AlgebraicLoop(Exception):
-    """Error: components need each other's outputs of the same time.
+    """Error: components need each other's outputs at the same time.
 
-    The attribute `cycle` holds their names; it begins and ends with the same name.
+    The attribute `cycle` contains the names of the components; it begins and ends with the same name.
     """
 
     def __init__(self, cycle: Sequence[str]) -> None:
@@ -72,9 +72,9 @@ class Algorithm:
         name: Value of the scenario's key `algorithm`.
         title: Name in reports and messages.
         about: Description that follows the name in a sentence, e.g. "steps one after the other".
-        sequential: True if a component sees the new values of components stepped before it. The order then matters, the
-            scenario may state it by `order`, and an algebraic loop has no order.
-        solves_loops: Whether `plan_with_loops` returns algebraic loops to be solved.
+        sequential: True if a component gets the new values of components stepped before it. The order then matters and
+            can be set in the scenario by `order`; for an algebraic loop there is no valid order.
+        solves_loops: True if `plan_with_loops` can return algebraic loops to be solved.
     """
 
     name = ""
@@ -87,27 +87,28 @@ class Algorithm:
         """Return the plan of a communication step.
 
         Args:
-            order: Components with inputs in the user's order; None if not stated or not sequential.
+            order: Components with inputs in the user's order; None if the user sets none, or if the algorithm is not
+                sequential.
 
         Raises:
-            AlgebraicLoop: No order of the components satisfies the plan.
+            AlgebraicLoop: The components form a loop, for which there is no order.
         """
         raise NotImplementedError
 
     def plan_with_loops(self, components: Components, edges: Sequence[Edge], order: Order, *, undeclared: bool) -> Plan:
-        """Return the plan, with algebraic loops if supported.
+        """Return the plan, with algebraic loops if the algorithm supports them.
 
         Args:
-            undeclared: Whether inputs without declared dependencies may be part of a loop.
+            undeclared: Allow inputs without declared dependencies to be part of a loop.
 
         Raises:
-            AlgebraicLoop: No order of the components satisfies the plan.
+            AlgebraicLoop: The components form a loop, for which there is no order.
         """
         return self.plan(components, edges, order)
 
 
 class GaussSeidel(Algorithm):
-    """Gauss-Seidel: components step in sequence; inputs with direct feedthrough get values of the same time."""
+    """Gauss-Seidel: components step in sequence; inputs with direct feedthrough get new values."""
 
     name = "gauss-seidel"
     title = "Gauss-Seidel"
@@ -115,23 +116,23 @@ class GaussSeidel(Algorithm):
     solves_loops = True
 
     def plan(self, components: Components, edges: Sequence[Edge], order: Order) -> Plan:
-        """Return a plan in the user's order, by default in the order of direct feedthrough."""
+        """Return a plan with the user's order or, by default, an order along direct feedthrough."""
         return self.plan_with_loops(components, edges, order, undeclared=False, loops=False)
 
     def plan_with_loops(
         self, components: Components, edges: Sequence[Edge], order: Order, *, undeclared: bool, loops: bool = True
     ) -> Plan:
-        """Return a plan with values of the same time for inputs with direct feedthrough.
+        """Return a plan that gives inputs with direct feedthrough new values.
 
-        An order stated by the user is kept: connections along this order are immediate, all others are held.
+        With an order of the user, connections along this order are immediate and all others are held.
 
         Args:
-            undeclared: Whether inputs without declared dependencies may be part of a loop. Otherwise they are assumed
-                to have no direct feedthrough where a loop would need it.
-            loops: Whether components without an order become algebraic loops of the plan.
+            undeclared: Allow inputs without declared dependencies to be part of a loop. Otherwise such inputs are
+                assumed to have no direct feedthrough if this avoids a loop.
+            loops: Put components without a valid order into algebraic loops of the plan.
 
         Raises:
-            AlgebraicLoop: No order exists, and the plan must not have loops.
+            AlgebraicLoop: There is no valid order, and `loops` is False.
         """
         if order is not None:
             rest = [name for name in components if name not in order]  # sources without inputs
@@ -149,7 +150,7 @@ class GaussSeidel(Algorithm):
             except CycleError as error:
                 cycle = list(reversed(error.args[1]))
             inputs = direct & {(target, name) for source, target, name, _ in edges if {source, target} <= {*cycle}}
-            # Only outputs used within the loop count.
+            # Only outputs that are connected within the loop matter.
             used = {c: {output for source, _, _, output in edges if source == c} for c in cycle}
             removed = {(c, name) for c, name in inputs if components[c].depends_on(name, used[c]) is False}
             if not removed:
@@ -190,7 +191,7 @@ class Jacobi(Algorithm):
 
 OWN: tuple[Algorithm, ...] = (GaussSeidel(), Jacobi())
 DEFAULT = OWN[0]
-WITHOUT_ORDER = OWN[1]  # for components in an algebraic loop, which have no order
+WITHOUT_ORDER = OWN[1]  # Jacobi, for components of an algebraic loop, which have no order
 
 
 def algorithms() -> dict[str, Algorithm]:
@@ -214,7 +215,7 @@ class AlgorithmKey:
 
     @staticmethod
     def validate(value: Any) -> str:
-        """Return the name of an algorithm; reject unknown names."""
+        """Return the name of an available algorithm; raise ValueError for other names."""
         allowed = list(algorithms())
         if isinstance(value, str) and value in allowed:
             return value
@@ -223,7 +224,7 @@ class AlgorithmKey:
 
 
 def _sort(names: Iterable[T], ends: Iterable[tuple[T, T]]) -> tuple[T, ...]:
-    """Return names sorted topologically, each source before its targets; raise CycleError for a cycle."""
+    """Return names sorted so that each source is before its targets; raise CycleError for a cycle."""
     sorter: TopologicalSorter[T] = TopologicalSorter({name: set() for name in names})
     for source, target in ends:
         sorter.add(target, source)
@@ -231,9 +232,9 @@ def _sort(names: Iterable[T], ends: Iterable[tuple[T, T]]) -> tuple[T, ...]:
 
 
 def sort_groups(names: Sequence[str], ends: Sequence[tuple[str, str]]) -> list[tuple[str, ...]]:
-    """Return the groups of names that reach each other, in the order of their connections.
+    """Return groups of names that are connected in a cycle, sorted so that sources are before targets.
 
-    Within a group, few connections lead back.
+    The order within a group has few connections from a later to an earlier name.
     """
     from scipy.sparse import csr_array
     from scipy.sparse.csgraph import connected_components
@@ -255,6 +256,6 @@ def sort_groups(names: Sequence[str], ends: Sequence[tuple[str, str]]) -> list[t
 
 
 def torn(group: Sequence[str], ends: Iterable[tuple[str, str]]) -> list[bool]:
-    """Return for each connection whether it leads back."""
+    """Return for each connection whether it leads from a later to an earlier (or the same) name of the group."""
     place = {name: k for k, name in enumerate(group)}
     return [place[source] >= place[target] for source, target in ends]

@@ -1,4 +1,4 @@
-"""Derivatives of an FMU at any state, and their slopes from directional derivatives or differences."""
+"""Derivatives of an FMU at any state, and the Jacobian by directional derivatives or differences."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from cosim.fmi.fmi_types import is_negated
 
 
 class DifferentiableFmu(FmuBlock):
-    """An FMU for model exchange, evaluated at single points: `open`, any number of points, `close`."""
+    """An FMU for model exchange, which is evaluated at single points between `open` and `close`."""
 
     instance: ModelExchange
 
@@ -32,12 +32,12 @@ class DifferentiableFmu(FmuBlock):
 
     @property
     def gives_slopes(self) -> bool:
-        """Return whether directional derivatives of scalars are available."""
+        """Return True if the FMU provides directional derivatives and has no arrays."""
         plain = all(not v.shape for v in (*self._states, *self._inputs, *self._outputs))
         return plain and declares_slopes(self.path, "model-exchange")
 
     def state_references(self) -> list[int]:
-        """Return the value references of the states, FMI 1.0 only."""
+        """Return the value references of the states (FMI 1.0 only)."""
         return self.instance.state_references()
 
     def current_point(self) -> tuple[Array, Array]:
@@ -57,7 +57,7 @@ class DifferentiableFmu(FmuBlock):
         return self._vector(self.instance.fmu.getContinuousStates)
 
     def rates(self, states: Array, inputs: Array) -> Array:
-        """Return derivatives and outputs in the current mode."""
+        """Return derivatives and outputs at given states and inputs, without handling events."""
         with self.instance.check_calls():
             self.instance.set_states(states)
             self._write_reals(self._inputs, inputs)
@@ -65,7 +65,7 @@ class DifferentiableFmu(FmuBlock):
         return np.concatenate([rates, self._read(self._outputs)])
 
     def directional_slopes(self) -> Array:
-        """Return slopes from the FMU's directional derivatives.
+        """Return the Jacobian from the FMU's directional derivatives.
 
         Rows are derivatives and outputs, columns states and inputs.
         """
@@ -97,7 +97,7 @@ class DifferentiableFmu(FmuBlock):
 
 
 def _with_signs(variables: Sequence[Any], values: Array) -> Array:
-    """Return values of variables, or of their value references, from the other."""
+    """Convert values of variables to values of their value references, or back; signs of negated aliases change."""
     negated = [is_negated(v) for v in variables]
     return np.where(negated, -values, values) if any(negated) else values
 
@@ -105,11 +105,11 @@ def _with_signs(variables: Sequence[Any], values: Array) -> Array:
 def slopes_at(
     block: DifferentiableFmu, t: float, states: Array, inputs: Array, step: float, *, directional: bool
 ) -> tuple[Array, Array, Array]:
-    """Return slopes, derivatives with outputs, and states after events at a point.
+    """Return at a point: the Jacobian, the derivatives followed by outputs, and the states after events.
 
     Args:
         step: Step of the central differences, relative to max(1, |value|).
-        directional: Whether to use the FMU's directional derivatives.
+        directional: Use the FMU's directional derivatives instead of differences.
 
     Raises:
         SimulationError: A result is not finite.

@@ -1,11 +1,11 @@
 """FMUs of FMI 3.0 that are stepped with event mode and clocks.
 
-Between events such an FMU is in step mode. It may return early from a step, because of an event or because it was asked
-to. At an instant (a communication point or an event) the master calls
+Between events such an FMU is in step mode. It may return early from a step, because of an event or on request. At each
+communication point and each event, the master calls
 
     enter, (tick)*, (put, get, fired)*, update, [(tick)*, (put, get, fired)*, update]*, leave
 
-on every FMU that takes part. Discrete inputs and clocked variables are set and read there only, clocked variables while
+on every FMU concerned. Discrete inputs and clocked variables are set and read only there; clocked variables only while
 one of their clocks ticks.
 """
 
@@ -31,17 +31,17 @@ from cosim.fmi.fmi_types import Exchange, element_names
 ClockKind = Literal["constant", "fixed", "tunable", "changing", "countdown", "triggered"]
 PERIODIC = ("constant", "fixed", "tunable")
 NUMBERS = {"intervalDecimal", "intervalCounter", "resolution", "shiftDecimal", "shiftCounter", "priority"}
-LOWEST = 2**31  # priority of a clock without one: after all others
+LOWEST = 2**31  # priority of a clock that declares none: after all others
 
 
 @dataclass(frozen=True)
 class Timing:
-    """Times of a clock, as the scenario states them.
+    """Times of a clock's ticks, from the scenario.
 
     Attributes:
         interval: Time [s] between two ticks.
         shift: Time [s] from the start of the run to the first tick.
-        at: Times of all ticks [s], ordered; takes the place of `interval`.
+        at: Times of all ticks [s] in order, instead of `interval`.
     """
 
     interval: float | None = None
@@ -51,12 +51,12 @@ class Timing:
 
 @dataclass(frozen=True)
 class Clock:
-    """A clock as an FMU declares it.
+    """A clock that an FMU declares.
 
     Attributes:
         interval: Declared interval [s]; None if the FMU computes it.
-        priority: Order of the model partitions due at the same time, smallest first.
-        clocks: Names of the clocks with which this clock ticks.
+        priority: Order of model partitions that are due at the same time; the smallest number is first.
+        clocks: Names of the clocks that trigger this clock.
     """
 
     name: str
@@ -72,10 +72,10 @@ class Clock:
 def read_clocks(path: Path, description: Any) -> dict[str, Clock]:
     """Return the clocks of an FMU by name.
 
-    FMPy reads neither intervals nor priorities.
+    The description is read here, because FMPy reads neither intervals nor priorities.
 
     Raises:
-        FmuError: An interval, a shift or a priority is no number, or a period is not above 0.
+        FmuError: An interval, a shift or a priority is not a number, or a period is not above 0.
     """
     variables = {v.name: v for v in description.modelVariables if v.type == "Clock"}
     if not variables:
@@ -112,7 +112,7 @@ def read_clocks(path: Path, description: Any) -> dict[str, Clock]:
 
 
 def _number(path: Path, clock: str, key: str, text: str) -> float:
-    """Return a number of the description."""
+    """Return a number of the model description; raise FmuError for other text."""
     with suppress(ValueError):
         if math.isfinite(number := float(text)) and (number > 0.0 or key != "resolution"):
             return number
@@ -121,14 +121,14 @@ def _number(path: Path, clock: str, key: str, text: str) -> float:
 
 @dataclass
 class Timer:
-    """Times of a clock's ticks, derived from counts.
+    """Times of a clock's ticks, computed as base + count·interval.
 
     Attributes:
         base: Time [s] of tick 0 of the current interval.
         count: Number of ticks since `base`.
         interval: Current interval [s]; None: only the tick at `base` is known.
-        times: Times of all ticks [s], if they are stated one by one.
-        is_set: Whether a next tick is known.
+        times: Times of all ticks [s], if the scenario lists them.
+        is_set: True if the time of the next tick is known.
     """
 
     base: float = 0.0
@@ -139,7 +139,7 @@ class Timer:
 
     @property
     def next(self) -> float:
-        """Return the time [s] of the next tick, or infinity."""
+        """Return the time [s] of the next tick, or infinity if there is none."""
         if self.is_set and self.times:
             return self.times[self.count] if self.count < len(self.times) else math.inf
         if not self.is_set or (self.interval is None and self.count > 0):
@@ -147,12 +147,12 @@ class Timer:
         return self.base + self.count * (self.interval or 0.0)
 
     def begin(self, base: float, interval: float | None = None, count: int = 0) -> None:
-        """Tick once, at `base` [s], or every `interval` [s] from tick `count` on."""
+        """Start the timer: a single tick at `base` [s], or a tick every `interval` [s] from number `count` on."""
         self.base, self.count, self.interval, self.is_set = base, count, interval, True
 
 
 NOT_YET_KNOWN, UNCHANGED, CHANGED = range(3)  # fmi3IntervalQualifier
-TICK_NOW = 1e-9  # fraction of an interval within which a tick is due
+TICK_NOW = 1e-9  # share of an interval; a tick that is closer in time is due
 INITIALIZATION, EVENT, STEP = "initialization", "event", "step"
 
 
@@ -160,9 +160,9 @@ class EventInstance(Instance):
     """An FMU instance for FMI 3.0 co-simulation with event mode.
 
     Attributes:
-        may_return: Whether early return is allowed, which needs an FMU with variable communication step size.
-        in_small_steps: Whether the FMU is asked to return after each of its own steps.
-        stop: Interruption of the run that arrived during a step.
+        may_return: True if early return is allowed; the FMU must accept variable communication step sizes.
+        in_small_steps: True if the FMU is asked to return after each of its internal steps.
+        stop: Interruption of the run that occurred during a step.
     """
 
     in_small_steps = False
@@ -179,14 +179,13 @@ class EventInstance(Instance):
         super().make_instance(logging, **options)
 
     def _update_between(self, *arguments: Any) -> None:
-        """Ask for an early return where one is due.
+        """Request an early return from a step, after an interruption or after each internal step of the FMU.
 
-        It is due after an interruption, or after each own step of the FMU.
-
-        No values are set or read: inputs are constant during a step, and rows belong to communication points.
+        No values are set or read, since inputs are constant during a step and rows are recorded at communication
+        points.
 
         Args:
-            arguments: Those of fmi3IntermediateUpdateCallback.
+            arguments: Arguments of fmi3IntermediateUpdateCallback.
         """
         _, t, _, _, is_finished, can_return, is_asked, at = arguments
         try:
@@ -201,20 +200,21 @@ class EventFmu(FmuBlock):
 
     Attributes:
         clocks: Declared clocks by name.
-        output_clocks: Clocks that the FMU ticks by itself.
+        output_clocks: Clocks whose ticks the FMU determines.
         timers: Timers of the clocks that tick at known times.
-        reached: Time [s] to which the FMU has come; ahead of the master after an early return of another FMU.
+        reached: Time [s] up to which the FMU has been stepped; later than the master's time if another FMU returned
+            early.
         next_event: Time [s] of the next event that the FMU announced; infinity without one.
-        asks: Whether the FMU asked for event mode.
-        active: Clocks that tick at the current instant.
+        asks: True if the FMU has requested event mode.
+        active: Clocks that tick at the current event or communication point.
 
     Args:
-        timings: Clock → times stated by the scenario.
-        jumping: Inputs whose values jump, because their sources do.
+        timings: Clock → times of its ticks from the scenario.
+        jumping: Inputs whose sources change discontinuously.
     """
 
     clock_types = frozenset({"Clock"})
-    steps = True  # whether time passes in steps
+    steps = True  # False if the FMU is not stepped (scheduled execution)
     instance: EventInstance
 
     def __init__(
@@ -232,7 +232,7 @@ class EventFmu(FmuBlock):
         self.clocks = read_clocks(path, description)
         self.output_clocks = [c for c in self.clocks.values() if c.causality != "input"]
         self.timings, self._jumping = dict(timings or {}), jumping
-        self._places: dict[str, int] = {}  # places of the numbers of ticks
+        self._places: dict[str, int] = {}  # clock → index of its number of ticks
         self._reset(0.0)
         super().__init__(name, path, description, start, connected, **settings)
         self.may_return = self.instance.may_return
@@ -243,8 +243,8 @@ class EventFmu(FmuBlock):
         self.timers: dict[str, Timer] = {}
         self.mode, self.reached, self.next_event, self.asks = INITIALIZATION, start, math.inf, False
         self.active: set[str] = set()
-        self._changes: dict[str, Any] = {}  # values of the scenario's events, to set at the next instant
-        self._given: dict[Exchange, list[Any]] = {}  # inputs as last set
+        self._changes: dict[str, Any] = {}  # values from the scenario's events, to be set at the next instant
+        self._given: dict[Exchange, list[Any]] = {}  # last values set of each input
         self._seen: list[list[Any]] = []
 
     # -- description ----------------------------------------------------------------------------
@@ -266,18 +266,18 @@ class EventFmu(FmuBlock):
         self.list_variables(self.connected, recorded, part=part, clocks=(tuple(inputs), tuple(others)))
 
     def _is_jumping(self, variable: Any) -> bool:
-        """Return whether an input is discrete or clocked."""
+        """Return True if an input is discrete or clocked."""
         if variable.type not in ("Float64", "Float32") or variable.variability not in (None, "continuous"):
             return True
         return bool(variable.clocks) or not self._jumping.isdisjoint({variable.name, *element_names(variable)})
 
     def ask_for_small_steps(self) -> None:
-        """Ask the FMU to return after each of its own steps, if it can."""
+        """Ask the FMU to return after each of its internal steps, if the FMU supports this."""
         about = self.instance.about
         self.instance.in_small_steps = about.providesIntermediateUpdate and about.canReturnEarlyAfterIntermediateUpdate
 
     def settles(self, name: str) -> bool:
-        """Return whether values of an input are exchanged until they settle, at each instant."""
+        """Return True if values of an input are exchanged at each instant until they no longer change."""
         variable = self.variables.get(name) or self.variables[name.rpartition("[")[0]]
         return not self.steps or self._is_jumping(variable)
 
@@ -299,7 +299,7 @@ class EventFmu(FmuBlock):
         with instance.check_calls():
             for clock in self.clocks.values():
                 timing = self.timings.get(clock.name)
-                # The interval is the one that the scenario states, or that of the FMU.
+                # The interval of the scenario, otherwise that of the FMU, applies.
                 if clock.kind == "triggered":
                     if timing is not None:
                         first = start + (timing.shift or 0.0)
@@ -330,12 +330,12 @@ class EventFmu(FmuBlock):
     # -- values --------------------------------------------------------------------------------------
 
     def put(self) -> None:
-        """Set changed inputs, as far as the mode allows."""
+        """Set changed inputs that may be set in the current mode."""
         for exchange in self._changed_inputs():
             self.put_in(exchange)
 
     def _changed_inputs(self) -> list[Exchange]:
-        """Note the inputs, as far as the mode allows; return those to set."""
+        """Return the changed inputs that may be set in the current mode, and record their values."""
         changed = []
         for exchange in self.fed if self.mode != STEP else self._steady:
             if not exchange.clocks or exchange.clocks & self.active:
@@ -346,37 +346,37 @@ class EventFmu(FmuBlock):
         return changed
 
     def get(self) -> None:
-        """Read outputs, as far as the mode allows."""
+        """Read the outputs that may be read in the current mode."""
         for exchange in self.read:
             if not exchange.clocks or exchange.clocks & self.active:
                 self.get_from(exchange)
 
     @property
     def has_jumped(self) -> bool:
-        """Return whether a discrete input has a new value."""
+        """Return True if a discrete input has a new value."""
         return any(self.content(e) != self._given.get(e) for e in self._discrete)
 
     def look(self) -> None:
-        """Remember the inputs of this instant."""
+        """Record the inputs of this instant, for `is_stirred`."""
         self._seen = self._inputs()
 
     @property
     def is_stirred(self) -> bool:
-        """Return whether inputs have changed since `look`."""
+        """Return True if inputs have changed since `look`."""
         return self._inputs() != self._seen
 
     def _inputs(self) -> list[list[Any]]:
         return [self.content(e) for e in self.fed if not e.clocks]
 
     def change(self, values: Mapping[str, Any]) -> None:
-        """Keep an event's values for the next instant."""
+        """Store values from an event of the scenario, to be set at the next instant."""
         self._changes |= values
         self.asks = True
 
     # -- steps ------------------------------------------------------------------------------------
 
     def go(self, target: float) -> float:
-        """Step to a time [s]; return the time reached.
+        """Step towards a time [s]; return the time reached, which is earlier after an early return.
 
         Raises:
             EarlyEnd: The FMU ended the simulation.
@@ -414,16 +414,16 @@ class EventFmu(FmuBlock):
 
     @property
     def due(self) -> float:
-        """Return the time [s] of the next known event."""
+        """Return the time [s] of the next event or tick that is known in advance."""
         return min((self.next_event, *(timer.next for timer in self.timers.values())))
 
     def due_clocks(self, t: float, close: float) -> list[str]:
-        """Return the clocks due at `t` [s] by priority."""
+        """Return the clocks with a tick at `t` [s], within the tolerance `close` [s], ordered by priority."""
         due = [name for name, timer in self.timers.items() if timer.next <= t + close]
         return sorted(due, key=lambda name: self.clocks[name].priority)
 
     def enter(self) -> None:
-        """Enter event mode; set the scenario's values."""
+        """Enter event mode, and set the values from events of the scenario."""
         if self.mode != EVENT:
             self.instance.call("enterEventMode")
             self.mode, self.active = EVENT, set()
@@ -441,7 +441,7 @@ class EventFmu(FmuBlock):
             self.show_changes(changes)
 
     def tick(self, names: Collection[str]) -> None:
-        """Activate input clocks."""
+        """Activate input clocks by name."""
         self.instance.call("setClock", [self.clocks[name].reference for name in names], [True] * len(names))
         self._count(names)
 
@@ -454,13 +454,13 @@ class EventFmu(FmuBlock):
                 self.timers[name].count += 1
 
     def _forget(self, clocks: Collection[str]) -> None:
-        """Forget the inputs of clocks that tick: they are set at each tick, also with the value of the last one."""
+        """Mark the inputs of ticking clocks as changed, since they must be set at each tick, even if unchanged."""
         for exchange in self.fed:
             if not exchange.clocks.isdisjoint(clocks):
                 self._given.pop(exchange, None)
 
     def fired(self) -> list[str]:
-        """Return output clocks that tick since the last call."""
+        """Return the output clocks that have ticked since the last call."""
         idle = [c for c in self.output_clocks if c.name not in self.active]
         idle = [c for c in idle if not c.clocks or c.clocks & self.active]
         names = self._ticking(idle)
@@ -468,12 +468,12 @@ class EventFmu(FmuBlock):
         return names
 
     def _ticking(self, clocks: Sequence[Clock]) -> list[str]:
-        """Return the names of output clocks that tick."""
+        """Return the names of the clocks in `clocks` that tick now, asked of the FMU."""
         states = self.instance.call("getClock", [c.reference for c in clocks]) if clocks else []
         return [clock.name for clock, is_active in zip(clocks, states, strict=True) if is_active]
 
     def update(self) -> bool:
-        """Update discrete states; return whether to repeat.
+        """Update discrete states; return True if another update is needed.
 
         Raises:
             EarlyEnd: The FMU ended the simulation.
@@ -494,7 +494,7 @@ class EventFmu(FmuBlock):
     # -- intervals ----------------------------------------------------------------------------------
 
     def _read_intervals(self) -> None:
-        """Read intervals that may have changed."""
+        """Read the intervals of clocks whose interval may have changed."""
         t = self.instance.time
         for clock in self.clocks.values():
             if clock.interval is not None or clock.kind not in ("tunable", "changing", "countdown"):
@@ -511,7 +511,7 @@ class EventFmu(FmuBlock):
                 timer.begin(t + self._checked(clock, interval))
 
     def _interval(self, clock: Clock) -> tuple[int, float]:
-        """Return qualifier and interval [s] of a clock."""
+        """Return the interval qualifier and the interval [s] of a clock."""
         interval, qualifier = ctypes.c_double(), ctypes.c_int()
         self.instance.fmu.getIntervalDecimal(
             (ctypes.c_uint * 1)(clock.reference), ctypes.byref(interval), ctypes.byref(qualifier)
@@ -522,23 +522,22 @@ class EventFmu(FmuBlock):
         self.instance.fmu.setIntervalDecimal((ctypes.c_uint * 1)(clock.reference), (ctypes.c_double * 1)(interval))
 
     def _checked(self, clock: Clock, interval: float) -> float:
-        """Return an interval; raise SimulationError if invalid."""
+        """Return an interval [s]; raise SimulationError unless it is positive and finite."""
         if math.isfinite(interval) and (interval > 0.0 or (interval == 0.0 and clock.kind not in PERIODIC)):
             return interval
         message = f"its interval is {interval:g} s; it must be above 0 s for a periodic clock, at least 0 s for others"
         raise SimulationError(f"{self.name}.{clock.name}", self.instance.time, message)
 
 
-# -- scheduled execution ----------------------------------------------------------------------------
-# Model partitions are activated by their clocks, in the order of priority. They run one after another and are never
-# interrupted, so the FMU's locks against preemption are not needed.
+# Clocks activate model partitions in the order of priority. Partitions run one after another and are never interrupted,
+# so the FMU's locks against preemption are not needed.
 
 
 class ScheduledInstance(EventInstance):
     """An FMU instance for FMI 3.0 scheduled execution.
 
     Attributes:
-        on_update: Function called when the FMU says that a clock has changed.
+        on_update: Function called when the FMU reports that a clock has changed.
     """
 
     fmpy_class, way = "ScheduledExecution", "scheduled-execution"
@@ -552,10 +551,10 @@ class ScheduledInstance(EventInstance):
     def make_instance(self, logging: bool, **options: Any) -> None:
         from fmpy.fmi3 import fmi3ClockUpdateCallback
 
-        self._update = fmi3ClockUpdateCallback(lambda _: self.on_update())  # lives as long as the FMU
+        self._update = fmi3ClockUpdateCallback(lambda _: self.on_update())  # kept as long as the FMU exists
         instantiate = self.fmu.fmi3InstantiateScheduledExecution
 
-        def with_updates(*arguments: Any) -> Any:  # FMPy's own method drops the updates of clocks.
+        def with_updates(*arguments: Any) -> Any:  # FMPy's own method ignores updates of clocks.
             return instantiate(*arguments[:7], self._update, *arguments[8:])
 
         self.fmu.fmi3InstantiateScheduledExecution = with_updates
@@ -566,7 +565,7 @@ class ScheduledFmu(EventFmu):
     """An FMU for scheduled execution."""
 
     steps = False
-    has_jumped = is_stirred = False  # Inputs are taken by the partitions.
+    has_jumped = is_stirred = False  # The partitions read the inputs when they run.
     instance: ScheduledInstance
 
     def _instance_class(self, way: Way | None) -> type[Instance]:
@@ -590,14 +589,14 @@ class ScheduledFmu(EventFmu):
             super().get()
 
     def go(self, target: float) -> float:
-        """Let time pass without a call of the FMU."""
+        """Return the target time; the FMU is not called."""
         self.reached = self.instance.time = target
         return target
 
     def tick(self, names: Collection[str]) -> None:
-        """Activate the partitions of clocks by priority.
+        """Run the partitions of clocks in the order of priority.
 
-        Clocks that a partition sets take their place among them.
+        Clocks that a partition activates are inserted by their priority.
         """
         t = self.instance.time
         waiting = [*names]
@@ -608,7 +607,7 @@ class ScheduledFmu(EventFmu):
             waiting = [*(c for c in self.due_clocks(t, 0.0) if c != name and c not in waiting), *waiting]
 
     def _activate(self, name: str, t: float) -> None:
-        """Run a partition between its inputs and outputs."""
+        """Set the inputs of a partition, run the partition, and read its outputs."""
         if self._last.get(name, -math.inf) >= t:
             self.instance.remember(
                 f"clock {name} was due twice at t = {t:.6g} s; FMI allows one activation at a time, so one was omitted"
@@ -628,7 +627,7 @@ class ScheduledFmu(EventFmu):
         self._read_intervals()
 
     def _on_update(self) -> None:
-        """Read the clocks that the partition has changed."""
+        """Read which clocks the partition has changed."""
         try:
             self._read_intervals()
             self._fired += self._ticking([c for c in self.output_clocks if c.name not in self._fired])
@@ -636,17 +635,17 @@ class ScheduledFmu(EventFmu):
             self._failure = failure
 
     def fired(self) -> list[str]:
-        """Return output clocks activated since the last call."""
+        """Return the output clocks activated since the last call."""
         names, self._fired = self._fired, []
         for name in names:
             self._row[self._places[name]] += 1.0
         return names
 
     def update(self) -> bool:
-        """Return False: partitions leave nothing to be updated."""
+        """Return False: after a partition, no update of discrete states follows."""
         self.active = set()
         return False
 
     def leave(self) -> None:
-        """Wait for the next clock."""
+        """Do nothing: scheduled execution has no step mode."""
         self.active = set()

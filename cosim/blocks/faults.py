@@ -1,4 +1,4 @@
-"""Noise of a connection, and faults injected into it during an interval."""
+"""Noise of a connection, and faults injected into a connection during an interval."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ AFFINE, ADDED, BIAS, SCALE, STUCK, SPIKES, DELAYED, HELD, ITEMS = LinkKind
 
 @dataclass(eq=False)
 class LinkFunction:
-    """A function of (communication point, value) with an equivalent in C; called at each point in turn.
+    """A function of (communication point, value) that changes values of a connection, with an equivalent in C.
 
     Attributes:
-        kind: Effect on a value; further attributes have the names of the fields of `ConvertedLink`.
-        window: First and last point at which the effect acts; elsewhere values pass unchanged.
+        kind: Effect on a value. Attributes not listed here are fields of `ConvertedLink`.
+        window: First and last communication point with the effect; at other points, values are unchanged.
         delay: Delay in communication points.
     """
 
@@ -32,11 +32,11 @@ class LinkFunction:
     values: Any = None
     marks: bytearray | None = None
     delay: int = 0
-    _past: dict[int, Any] = field(default_factory=dict)  # point → value; of HELD the last received value at point 0
+    _past: dict[int, Any] = field(default_factory=dict)  # point → value; for HELD, the last received value at key 0
     _in_c: array[float] | None = None
 
     def __call__(self, k: int, v: Any) -> Any:
-        """Return the value at point k."""
+        """Return the changed value at communication point k; points must be in order."""
         kind = self.kind
         if kind is AFFINE:
             return v * self.a + self.b
@@ -47,7 +47,7 @@ class LinkFunction:
             if k == 0 or not acts:
                 self._past[0] = v
             return self._past[0]
-        if kind is DELAYED:  # at first the first value
+        if kind is DELAYED:  # before the first delayed value, use the first value
             self._past[k] = v
             self._past.pop(k - self.delay - 1, None)
             return self._past.get(k - self.delay, self._past[min(self._past)]) if acts else v
@@ -58,7 +58,7 @@ class LinkFunction:
         return self.a if kind is STUCK else v + self.a
 
     def link(self) -> ConvertedLink:
-        """Return the equivalent for the loop in C, which continues from the last point."""
+        """Return the equivalent for the C loop, which continues after the last point."""
         count = 0 if self.values is None else len(self.values)
         if self.kind is HELD:
             self._in_c = array("d", [self._past[0]])
@@ -72,7 +72,7 @@ class LinkFunction:
         return result
 
     def save(self, k: int) -> Any:
-        """Return the past values that later points need, at point k; None without one."""
+        """Return the past values on which later points depend, as of point k; None if there are none."""
         ring = self._in_c
         if self.kind is HELD:
             return self._past[0] if ring is None else ring[0]
@@ -83,7 +83,7 @@ class LinkFunction:
         return [(j, ring[j % len(ring)]) for j in range(max(0, k - self.delay), k + 1)]
 
     def restore(self, memory: Any) -> None:
-        """Restore saved values."""
+        """Restore the values that `save` returned."""
         if memory is not None:
             self._past = {0: memory} if self.kind is HELD else dict(memory)
 
@@ -100,7 +100,7 @@ def fault_function(
 ) -> LinkFunction:
     """Return the function of a fault on a connection.
 
-    Outside `window` (first and last point) values pass unchanged.
+    Outside `window` (first and last communication point), values are unchanged.
 
     Args:
         count: Number of communication points of the run.
@@ -134,5 +134,5 @@ def stream(seed: int, name: str) -> np.random.Generator:
 
 
 def gaussian(rng: np.random.Generator, variance: float, bias: float, count: int) -> array[float]:
-    """Return samples of bias + √variance·n in the signal's unit. n is standard normal."""
+    """Return `count` samples bias + √variance·n in the signal's unit, with standard normal n."""
     return array("d", (bias + np.sqrt(variance) * rng.standard_normal(count)).tobytes())

@@ -1,4 +1,4 @@
-"""A sensor with sporadic, delayed fixes: values held between fixes, and the number of fixes."""
+"""A sensor with sporadic, delayed position fixes, whose values are constant between fixes, and a count of fixes."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from typing import Any
 from cosim.blocks.component import Component, Signal
 from cosim.blocks.faults import stream
 
-COUNT = "fix"  # name of the counting output
-STATE = "_point", "_measured", "_count", "_values", "_errors", "_opening"  # attributes in a checkpoint
+COUNT = "fix"  # name of the output with the number of fixes
+STATE = "_point", "_measured", "_count", "_values", "_errors", "_opening"  # attributes stored in a checkpoint
 
 
 def fix_outputs(signals: Iterable[str]) -> list[str]:
-    """Return the names of the outputs of a sensor in order."""
+    """Return the names of the sensor's outputs, in order."""
     return [*(f"{name}_meas" for name in signals), COUNT]
 
 
@@ -56,8 +56,8 @@ class Fixes(Component):
         self._late = math.ceil(latency / step - 1e-9)
         self._point, self._measured, self._count = 0, 0, 0
         self._values = [0.0] * len(self.inputs)
-        self._queue: deque[tuple[int, list[float]]] = deque()  # measured fixes with their output points
-        self._errors: list[float] | None = None  # errors of the first fix, applied to each value exchanged at the start
+        self._queue: deque[tuple[int, list[float]]] = deque()  # output point and fix
+        self._errors: list[float] | None = None  # errors of the first fix, for all exchanges during initialization
         self._opening = self._values
 
     def depends_on(self, name: str, outputs: Collection[str] | None = None) -> bool | None:
@@ -69,7 +69,7 @@ class Fixes(Component):
     def get(self) -> None:
         """Write the latest fix.
 
-        During initialization, the first fix measures the current values at each exchange.
+        During initialization, each exchange repeats the first fix with the current values.
         """
         first = self._first + len(self.inputs)
         if self._point == 0 and self._errors is not None:
@@ -79,7 +79,7 @@ class Fixes(Component):
         self._row[first : first + len(self._values) + 1] = [*self._values, float(self._count)]
 
     def advance(self, t: float, h: float) -> None:
-        if self._point == 0:  # Count the fix at the start of the run; with latency, queue it.
+        if self._point == 0:  # At the start of the run, count the first fix; with a latency, queue it.
             self._measured = 1
             if self._late and self._errors is not None:
                 self._queue.append((self._late, self._opening))
@@ -105,13 +105,13 @@ class Fixes(Component):
             rng.bit_generator.state = saved
 
     def slot(self, cells: Any) -> str:
-        """Return the reason why the C loop cannot step this component."""
+        """Return why the C loop cannot step this component."""
         return f"{self.name} has fixes at times of its own"
 
     def _draw(self) -> list[float] | None:
         """Return the errors of a position fix, or None for a lost fix.
 
-        Lost fixes use random numbers too, so that losses do not change the errors of later fixes.
+        A lost fix draws the same random numbers, so that losses do not change the errors of later fixes.
         """
         errors = [bias + scale * rng.standard_normal() for rng, scale, bias in self._noise]
         return None if self._losses.random() < self._dropout else errors

@@ -1,7 +1,7 @@
 """An FMU as a component, loaded by FMPy and stepped without copies.
 
-FMPy reads, checks, loads and instantiates; the loop calls the bare functions of the library. See instance.py for the
-life cycle and values.py for the transfer of values.
+FMPy reads, checks, loads and instantiates the FMU; the loop then calls the library's functions directly. instance.py
+contains the life cycle, values.py the transfer of values.
 """
 
 from __future__ import annotations
@@ -34,33 +34,34 @@ class FmuBlock(FmuVariables):
     """An FMU instance as a component.
 
     Attributes:
-        is_apart: Whether the FMU has a process of its own.
-        clock_types: Types of variables that are neither set nor read like others, but known.
-        instance: Instance of the FMU, by its interface.
+        is_apart: True if the FMU runs in a process of its own.
+        clock_types: FMI types of clocks, which are known but neither set nor read like variables of other types.
+        instance: Instance of the FMU, of the class for its interface.
         log: Messages of the FMU.
 
     Args:
-        connected: Names of connected inputs; the rest keep their start values.
+        connected: Names of connected inputs; unconnected inputs keep their start values.
         way: Co-simulation or model exchange; None prefers co-simulation.
-        tolerance: Relative tolerance of the solver; None for the default experiment's.
+        tolerance: Relative tolerance of the solver; None for that of the FMU's default experiment.
         recorded: Names of further variables to record at every communication point.
-        logging: Whether debug logging is on.
+        logging: Switch debug logging on.
         solver: Solver for model exchange.
-        solver_step: Longest step of this solver [s]; None for 1/50 of the run.
-        max_steps: Largest number of steps of this solver between communication points and events; None for its own.
-        feedthrough: Inputs that outputs follow directly, where dependencies are not declared; None if not known.
-        compiles: Whether sources may be compiled for a missing library; None for the current permission.
+        solver_step: Longest step of the solver [s]; None for 1/50 of the run.
+        max_steps: Largest number of solver steps between communication points and events; None for the solver's
+            default.
+        feedthrough: Inputs with direct feedthrough to outputs without declared dependencies; None if unknown.
+        compiles: Allow compilation of the sources if the library is missing; None for the current permission.
     """
 
     is_apart = False
     clock_types: frozenset[str] = frozenset()
-    _refuses = False  # to serialize its state, though it declares that it can
+    _refuses = False  # True if the FMU fails to serialize its state although it declares this capability
     _arguments: tuple[Any, ...]
     _settings: dict[str, Any]
 
     def __new__(cls, *arguments: Any, **settings: Any) -> Self:
         block = super().__new__(cls)
-        block._arguments, block._settings = arguments, settings  # to make another instance
+        block._arguments, block._settings = arguments, settings  # for further instances
         return block
 
     def __init__(
@@ -92,7 +93,7 @@ class FmuBlock(FmuVariables):
         if isinstance(instance, ModelExchange):
             instance.solver_name, instance.longest, instance.max_steps = solver, solver_step, max_steps
         self.log = instance.log
-        # With equal steps, a replay of a run of pythonfmu's FMUs repeats the run bit for bit.
+        # With steps of equal length, repeating a run of a pythonfmu FMU gives the same bits.
         self.nominal_step = instance.by_pythonfmu
         self._choose_variables(recorded)
 
@@ -112,7 +113,7 @@ class FmuBlock(FmuVariables):
         self.list_variables(self.connected, recorded, optional)
 
     def __reduce__(self) -> tuple[Callable[..., FmuBlock], tuple[Any, ...]]:
-        """Return a recipe for an instance in another process."""
+        """Return function and arguments from which another process creates this component."""
         return partial(type(self), **{**self._settings, "compiles": self.compiles}), self._arguments
 
     def with_start_values(self, start: Mapping[str, Any], unpacked: Path | None = None) -> FmuBlock:
@@ -146,7 +147,7 @@ class FmuBlock(FmuVariables):
 
     @cached_property
     def _feedthrough_declared(self) -> tuple[dict[int, list[Any]], list[Any]]:
-        """Return id of a variable → outputs that depend on it, and outputs without declared dependencies."""
+        """Return variable id → outputs that depend on the variable, and outputs without declared dependencies."""
         followers: dict[int, list[Any]] = {}
         for unknown in self.description.outputs:
             for variable in unknown.dependencies or ():
@@ -155,7 +156,7 @@ class FmuBlock(FmuVariables):
 
     @cached_property
     def is_sampled(self) -> bool:
-        """Return whether an FMU of cosim takes its inputs at its sample, the end of a step."""
+        """Return True for an FMU built by cosim that reads its inputs at sample times only, at the end of a step."""
         return self.description.author == AUTHOR and sampled_by(self.path) is not None
 
     @property
@@ -192,17 +193,17 @@ class FmuBlock(FmuVariables):
         self.start()
 
     def load(self) -> None:
-        """Load the FMU and make its instance."""
+        """Load the FMU and instantiate it."""
         self.instance.load()
         self.look_up()
 
     def begin(self, start: float, stop: float) -> None:
-        """Enter initialization at `start`."""
+        """Set start values and enter initialization mode at time `start` [s]."""
         instance, can_read = self.instance, self.instance.version > 1
         instance.time, instance.initialized = start, False
         instance.start_time, instance.stop_time = start, stop
         self.readable = can_read
-        again = {}  # Some FMUs (20-sim) forget start values set before initialization.
+        again = {}  # start values to set again: some FMUs (20-sim) forget those set before initialization
         for name, value in self.start_values.items() if can_read else ():
             v = self.variables.get(name)
             if v is None or v.causality == "structuralParameter":
@@ -225,7 +226,7 @@ class FmuBlock(FmuVariables):
         self._do_step = self.instance.stepping()
 
     def try_inputs(self) -> None:
-        """Set the inputs without an event; `put` makes it."""
+        """Set the inputs without an event; in contrast, `put` causes one in model exchange."""
         if self.changes_by_events:
             self.put_all()
         else:
@@ -233,11 +234,11 @@ class FmuBlock(FmuVariables):
 
     @property
     def changes_by_events(self) -> bool:
-        """Return whether a change of inputs is an event."""
+        """Return True if a change of inputs is an event, as in model exchange."""
         return isinstance(self.instance, ModelExchange)
 
     def slopes(self, outputs: Sequence[str], inputs: Sequence[str]) -> list[list[float]] | None:
-        """Return directional derivatives of outputs, None if unavailable."""
+        """Return directional derivatives of outputs, one row per output; None if unavailable."""
         if not self._is_differentiable or not {*outputs, *inputs} <= self.variables.keys():
             return None  # Elements of arrays have no value reference of their own.
         variables = ([self.variables[name] for name in names] for names in (outputs, inputs))
@@ -263,12 +264,12 @@ class FmuBlock(FmuVariables):
 
     @property
     def interpolates_inputs(self) -> bool:
-        """Return whether the FMU declares `canInterpolateInputs` (FMI 2.0, co-simulation)."""
+        """Return True if the FMU declares `canInterpolateInputs` (FMI 2.0, co-simulation)."""
         instance = self.instance
         return bool(instance.version == 2 and instance.way == "co-simulation" and instance.about.canInterpolateInputs)
 
     def step_by_derivatives(self, names: Sequence[str], orders: Sequence[Sequence[float]], t: float, h: float) -> None:
-        """Put the inputs and their derivatives, from the first order on, advance by `h` and get the outputs."""
+        """Set inputs and their derivatives (`orders`, first order first), advance by `h` [s], and get the outputs."""
         self.put()
         references, numbers, values = zip(
             *(
@@ -287,17 +288,17 @@ class FmuBlock(FmuVariables):
         self.get()
 
     def await_inputs(self, times: Collection[float] = (), *, always: bool = False) -> None:
-        """Let model exchange handle an event at the end of a step together with the inputs that change there.
+        """In model exchange, handle an event at the end of a step together with the change of inputs there.
 
         Args:
             times: Ends of steps [s] at which `change` follows.
-            always: Whether inputs are set after every step.
+            always: True if inputs are set after every step.
         """
         if isinstance(self.instance, ModelExchange):
             self.instance.awaits_inputs, self.instance.changes_at = always, frozenset(times)
 
     def settle(self) -> None:
-        """Handle an event of model exchange at the end of a step, if inputs do not change there."""
+        """In model exchange, handle an event at the end of a step if inputs do not change there."""
         with self.instance.check_calls():
             self.instance.inputs_changed(None)
 
@@ -318,7 +319,7 @@ class FmuBlock(FmuVariables):
 
     @property
     def rolls_back(self) -> bool:
-        """Return whether steps can be repeated with other lengths.
+        """Return True if steps can be repeated with other lengths.
 
         The FMU must save and restore its state and accept steps of any length.
         """
@@ -331,36 +332,36 @@ class FmuBlock(FmuVariables):
 
     @property
     def _gives_state(self) -> bool:
-        """Return whether the FMU is stepped and declares that its state can be saved and restored."""
+        """Return True for a co-simulation FMU that declares that its state can be saved and restored."""
         return bool(self.instance.way == "co-simulation" and self.instance.about.canGetAndSetFMUstate)
 
     def _state_function(self, verb: str) -> Any:
-        """Return a function of FMPy for the state of the FMU."""
+        """Return FMPy's method for the FMU state, such as `getFMUState` for `get`."""
         is_fmi3 = self.instance.version == 3
         verb = "deSerialize" if verb == "deserialize" and not is_fmi3 else verb
         return getattr(self.instance.fmu, f"{verb}FMU{'State' if is_fmi3 else 'state'}")
 
     def _call_of_state(self, verb: str, *arguments: Any) -> Any:
-        """Call a function for the state of the FMU."""
+        """Call FMPy's method for the FMU state; a failure becomes a SimulationError."""
         with self.instance.check_calls():
             return self._state_function(verb)(*arguments)
 
     def save_state(self) -> Any:
-        """Return the state, to restore and free."""
+        """Save the FMU state and return its handle, which `restore_state` or `free_state` frees."""
         return self._call_of_state("get")
 
     def restore_state(self, state: Any, *, keep: bool = False) -> None:
-        """Restore a saved state, and free the state unless `keep` is set."""
+        """Restore a saved state, and free it unless `keep` is True."""
         self._call_of_state("set", state)
         if not keep:
             self.free_state(state)
 
     def free_state(self, state: Any) -> None:
-        """Free a state that is not restored."""
+        """Free a saved state without restoring it."""
         self._call_of_state("free", state)
 
     def _serialize(self) -> bytes:
-        """Return the state as bytes; FMPy raises its own and bare Exceptions."""
+        """Return the FMU state as bytes; may raise any error of FMPy."""
         state = self._state_function("get")()
         content = bytes(self._state_function("serialize")(state))
         self._state_function("free")(state)
@@ -372,10 +373,10 @@ class FmuBlock(FmuVariables):
             return None
         try:
             content = self._serialize()
-        except Exception:  # The run goes on; a resumed run makes all steps again.
+        except Exception:  # The run continues; a resumed run repeats all steps.
             self._refuses = True
             return None
-        self.log.restore(log)  # Messages of these calls are none of the run.
+        self.log.restore(log)  # Messages of these calls are not messages of the run.
         return {"state": content, "time": self.instance.time, "log": log}
 
     def restore(self, state: dict[str, Any]) -> None:
@@ -389,7 +390,7 @@ class FmuBlock(FmuVariables):
     # -- stepped by C -------------------------------------------------------------------------
 
     def slot(self, cells: Any) -> Slot | str:
-        """Return the slot for the C loop, or the reason for none.
+        """Return the slot for the C loop, or the reason why the FMU cannot be stepped in C.
 
         Args:
             cells: Values beside the row.
@@ -409,12 +410,12 @@ class FmuBlock(FmuVariables):
         return slot
 
     def set_time(self, t: float) -> None:
-        """Note the time [s] after C steps; raise a pending stop."""
+        """Record the time [s] after steps in C; raise an interruption that occurred meanwhile."""
         self.instance.time = t
         self.instance.raise_stop()
 
     def raise_error(self, reason: StopReason, slot: Slot) -> None:
-        """Raise the error behind the C loop's return.
+        """Raise the error for which the C loop has returned.
 
         Warnings are only logged.
 
@@ -431,14 +432,14 @@ class FmuBlock(FmuVariables):
 
 
 class RestartableFmu(FmuBlock):
-    """An FMU for repeated runs that restarts without unpacking, with access to the state of cosim's own FMUs."""
+    """An FMU for repeated runs, which restarts without unpacking; access to the state of FMUs built by cosim."""
 
     def restart(self, values: Mapping[str, Any], start: float, stop: float) -> None:
         """Reset or reload the FMU, and enter initialization at `start` with new start values."""
         self.start_values = values
         is_reset = False
-        if self.instance.fmu is not None and self._is_ours:  # Some others (20-sim) stand still after a reset.
-            with suppress(Exception):  # FMPy raises bare Exceptions; without reset the FMU is loaded again.
+        if self.instance.fmu is not None and self._is_ours:  # some other FMUs (20-sim) do not move after a reset
+            with suppress(Exception):  # FMPy raises bare Exceptions; if the reset fails, the FMU is loaded again.
                 self.instance.fmu.reset()
                 is_reset = True
         if not is_reset:
@@ -447,14 +448,14 @@ class RestartableFmu(FmuBlock):
         self.begin(start, stop)
 
     def own(self) -> Own:
-        """Return the state that determines the future.
+        """Return time, state and memory, which determine the future.
 
-        Foreign FMUs raise ValueError, KeyError or TypeError.
+        FMUs of other tools raise ValueError, KeyError or TypeError.
         """
         return own_of(self._state())
 
     def remember(self, memory: Memory) -> None:
-        """Write a memory into the state of a cosim FMU, since start values can express a constant past only."""
+        """Write memory into the state of an FMU built by cosim; start values can describe only a constant past."""
         self._deserialize(with_memory(self._state(), memory))
 
     def _state(self) -> bytes:

@@ -1,4 +1,4 @@
-"""An FMU instance: loading, calls in a common form for all versions and interfaces of FMI, messages and status values.
+"""An FMU instance: loading, uniform calls for all versions and interfaces of FMI, messages and status values.
 
 The calls go through FMPy's classes, in this order: load, prepare, (start values), enter, (values)*, leave,
 (values, step, values)*, free.
@@ -45,23 +45,23 @@ from cosim.fmi.lifetime import KEEPER, let_go_at_exit
 LAST_SUCCESSFUL, TERMINATED = 2, 3  # fmi2StatusKind
 BOOLEAN, DOUBLE = ctypes.c_bool, ctypes.c_double
 SIZE, REFERENCE, INT = ctypes.c_size_t, ctypes.c_void_p, ctypes.c_int
-MOVED = REFERENCE, REFERENCE, SIZE, REFERENCE, SIZE  # arguments that set or get values; the last one is of FMI 3.0
+MOVED = REFERENCE, REFERENCE, SIZE, REFERENCE, SIZE  # types of arguments; the last only in FMI 3.0
 STEPS = {
     1: ctypes.CFUNCTYPE(INT, REFERENCE, DOUBLE, DOUBLE, ctypes.c_byte),
     2: ctypes.CFUNCTYPE(INT, REFERENCE, DOUBLE, DOUBLE, INT),
     3: ctypes.CFUNCTYPE(INT, REFERENCE, DOUBLE, DOUBLE, BOOLEAN, *[REFERENCE] * 4),
 }
 Step = Callable[[Any, float, float, int], int]
-Listen = Callable[[int, bytes | None], None]  # status and message
+Listen = Callable[[int, bytes | None], None]  # called with status and message
 STATUS = ("OK", "Warning", "Discard", "Error", "Fatal", "Pending")
 WARNING, DISCARD, FATAL = 1, 2, 4
-LONGEST_MESSAGE = 1000  # characters
-KEPT_FIRST, KEPT_LAST = 50, 50  # messages
+LONGEST_MESSAGE = 1000  # characters of a message
+KEPT_FIRST, KEPT_LAST = 50, 50  # number of first and last messages that are kept
 _listeners: dict[str, Callable[[], Listen | None]] = {}  # instance name → weak reference to its listener
 
 
 class _Functions(dict[str, Any]):
-    """FMI functions of a library by name, each made at its first call, because most are never called."""
+    """FMI functions of a library by name; each is looked up at its first call, because most are never called."""
 
     def __init__(self, fmu: Any, signatures: Mapping[str, tuple[Any, Any, Any]]) -> None:
         self._library, self._signatures = fmu.dll, signatures
@@ -80,7 +80,7 @@ class _Functions(dict[str, Any]):
 
 
 def find_symbol(library: Any, name: str) -> None:
-    """Raise AttributeError if a loaded library has no such function."""
+    """Raise AttributeError if a loaded library does not contain a function."""
     try:
         from _ctypes import dlsym
     except ImportError:  # Windows
@@ -94,7 +94,7 @@ def find_symbol(library: Any, name: str) -> None:
 
 @functools.cache
 def with_known_signatures(module: str, name: str) -> Any:
-    """Return a class of FMPy that inspects the signatures of the FMI functions for its first instance only."""
+    """Return a class of FMPy, changed so that it inspects the signatures of FMI functions only once."""
     kind = getattr(import_module(module), name)
     signatures: dict[str, tuple[Any, Any, Any]] = {}
 
@@ -110,10 +110,10 @@ def with_known_signatures(module: str, name: str) -> Any:
 
 @dataclass(eq=False)
 class MessageLog:
-    """The first and the last messages of an FMU, each text once, and the number of those between.
+    """The first and the last messages of an FMU without repetitions, and the number of messages between them.
 
     Attributes:
-        share: Function called with each message, if any.
+        share: Function that is called with each message; None for no function.
     """
 
     first: list[str] = field(default_factory=list)
@@ -122,7 +122,7 @@ class MessageLog:
     share: Callable[[str], None] | None = None
 
     def __iter__(self) -> Iterator[str]:
-        """Yield the messages, with a note in place of those between."""
+        """Yield the messages, with a note in place of the omitted ones."""
         yield from self.first
         if self.omitted:
             yield (
@@ -146,30 +146,31 @@ class MessageLog:
         self.last.append(text)
 
     def state(self) -> dict[str, Any]:
-        """Return the messages in JSON types."""
+        """Return the log as JSON types."""
         return {"first": [*self.first], "last": [*self.last], "omitted": self.omitted}
 
     def restore(self, state: Mapping[str, Any]) -> None:
-        """Restore the messages of a state."""
+        """Restore a log from `state`."""
         self.first, self.omitted = list(state["first"]), int(state["omitted"])
         self.last = deque(state["last"], maxlen=KEPT_LAST)
 
 
 class Instance:
-    """An FMU instance, here for co-simulation, and the folder of its unpacked FMU.
+    """An FMU instance for co-simulation, and the folder of the unpacked FMU.
 
     Attributes:
         version: Version of FMI: 1, 2 or 3.
         prefix: Prefix of FMI's functions.
-        about: Description of the interface.
-        fmu: FMPy's object, None before loading and after Fatal; `component` is C's pointer.
-        is_event, ends, is_early, last: Outcome of a step of FMI 3.0.
+        about: FMPy's description of the interface.
+        fmu: FMPy's object; None before loading and after a fatal error. `fmu.component` is the pointer of C.
+        is_event, ends, is_early, last: Results of fmi3DoStep: event needed, simulation ended, early return, last
+            successful time.
         log: Messages and warnings.
-        time: Reached time [s], for messages.
+        time: Time [s] reached, for messages.
         place: Folder of the already unpacked FMU, left unchanged.
-        logging: Whether debug logging is on.
-        compiles: Whether sources may be compiled for a missing library.
-        keeps_library: Whether library and folder stay when the instance is freed, for the next `load`.
+        logging: True if debug logging is on.
+        compiles: True if sources may be compiled when the library is missing.
+        keeps_library: True if library and folder are kept for the next `load` when the instance is freed.
     """
 
     keeps_library = False
@@ -202,12 +203,12 @@ class Instance:
     # -- life cycle ---------------------------------------------------------------------------------
 
     def load(self) -> None:
-        """Unpack the FMU if necessary, load it and make the instance.
+        """Unpack the FMU if necessary, load it and instantiate it.
 
         Raises:
             FmuError: The library does not load.
-            SharedCode: The process has other code of the same name.
-            DiskFull: No space is left to unpack.
+            SharedCode: The process has loaded different code under the same name.
+            DiskFull: The disk is full.
         """
         is_kept = self.fmu is not None
         hidden = () if is_kept else claim(self.path)
@@ -217,17 +218,17 @@ class Instance:
             if not is_kept:
                 self._load_code(folder, hidden)
             self._instantiate()
-        except Exception as error:  # FMPy raises bare Exceptions; the FMU's own message says more.
+        except Exception as error:  # FMPy raises bare Exceptions; the FMU's own message explains more
             self.fmu = None
             reason = "; ".join((self.last_words() or str(error), *hidden))
             raise FmuError(f"{self.path} does not load: {reason}") from None
         finally:
-            os.chdir(previous)  # FMPy changes to the FMU's folder.
+            os.chdir(previous)  # FMPy changes to the FMU's folder
         if not is_kept and KEEPER in code_of(self.path).symbols:
-            let_go_at_exit(folder)  # pythonfmu would release its objects twice at exit.
+            let_go_at_exit(folder)  # otherwise pythonfmu would release its objects twice at exit
 
     def _load_code(self, folder: Path, hidden: Sequence[str]) -> None:
-        """Load the library, compiled if it is missing and may be."""
+        """Load the library; compile it first if it is missing and compilation is allowed."""
         identifier = str(self.about.modelIdentifier)
         library, warning = library_of(folder, self.description, identifier) or (None, "")
         if library is None:
@@ -244,7 +245,7 @@ class Instance:
             self.remember(text)
 
     def _unpack(self) -> Path:
-        """Unpack the FMU unless it is unpacked; return the folder."""
+        """Unpack the FMU unless this has been done; return the folder."""
         if self.place is not None:
             self._folder = self.place
             return self.place
@@ -269,7 +270,7 @@ class Instance:
             try:
                 if self.initialized:
                     fmu.terminate()
-            except Exception as error:  # The run is over, so a refusal is logged only.
+            except Exception as error:  # the run is over, so an error is only logged
                 self.log.append(str(error))
             getattr(fmu, f"{self.prefix}FreeInstance")(component) if self.keeps_library else fmu.freeInstance()
         elif fmu is not None and not self.keeps_library:
@@ -277,8 +278,8 @@ class Instance:
         self.initialized = False
 
     def renew(self) -> None:
-        """Replace the instance by a new one; the library stays loaded."""
-        with suppress(Exception):  # FMPy raises bare Exceptions; a refusal to terminate does not matter.
+        """Replace the instance by a new one without loading the library again."""
+        with suppress(Exception):  # FMPy raises bare Exceptions; a failure to terminate does not matter
             if self.initialized:
                 self.fmu.terminate()
         self.initialized = False
@@ -287,13 +288,13 @@ class Instance:
         self._instantiate()
 
     def remove(self) -> None:
-        """Delete the folder, unless it is foreign."""
+        """Delete the folder of the unpacked FMU, unless the caller provided it."""
         if self._folder is not None and self._folder != self.place and not self.keeps_library:
             shutil.rmtree(self._folder, ignore_errors=True)
             self._folder = None
 
     def _load_library(self, folder: Path, library: Path) -> None:
-        """Load the library; failures raise bare Exceptions."""
+        """Load the library; may raise any error of FMPy."""
         kind = with_known_signatures(f"fmpy.fmi{self.version}", f"FMU{self.version}{self.fmpy_class}")
         # FMPy derives the library's path from the identifier. In FMI 1.0 the names of functions begin with it.
         names = {"modelIdentifier": library.stem}
@@ -302,18 +303,18 @@ class Instance:
         self.fmu = kind(guid=self.description.guid, unzipDirectory=str(folder), instanceName=self.name, **names)
 
     def _instantiate(self) -> None:
-        """Instantiate the FMU; pythonfmu gives reasons in debug messages only."""
+        """Instantiate the FMU. pythonfmu's FMUs need debug logging, since only debug messages contain reasons."""
         self.make_instance(self._logging or self.by_pythonfmu)
         self.component = self.fmu.component
-        if self.by_pythonfmu and not self._logging:  # Limit debug logging to categories about problems.
-            words = ("warning", "error", "fatal", "discard", "logall")  # pythonfmu is silent without logall
+        if self.by_pythonfmu and not self._logging:  # Limit debug logging to categories of problems.
+            words = ("warning", "error", "fatal", "discard", "logall")  # without logall, pythonfmu logs nothing
             names = [c.name for c in self.description.logCategories]
             problems = [name for name in names if any(word in name.lower() for word in words)]
             if problems and len(problems) < len(names):
                 self.fmu.setDebugLogging(True, problems)
 
     def make_instance(self, logging: bool, **options: Any) -> None:
-        """Instantiate the FMU through FMPy's object."""
+        """Instantiate the FMU by FMPy's method, with options of that method."""
         if self.version == 3:
             options["logMessage"] = lambda _, status, category, message: self.listen(status, message)
         else:
@@ -324,44 +325,44 @@ class Instance:
     # -- call sequence ----------------------------------------------------------------------------
 
     def prepare(self) -> None:
-        """Announce the experiment before start values are set."""
+        """Set up the experiment (start, stop, tolerance) before start values are set."""
         if self.version == 2:
             self.fmu.setupExperiment(**self._experiment)
 
     def enter(self) -> None:
-        """Begin initialization."""
+        """Enter initialization mode."""
         if self.version > 1:
             self.fmu.enterInitializationMode(**self._experiment if self.version == 3 else {})
 
     @property
     def _experiment(self) -> dict[str, float | None]:
-        tolerance = None if self.way == "model-exchange" else self.tolerance  # It is the solver's there.
+        tolerance = None if self.way == "model-exchange" else self.tolerance  # then of the solver
         return {"tolerance": tolerance, "startTime": self.start_time, "stopTime": self.stop_time}
 
     def leave(self) -> None:
-        """End initialization."""
+        """Leave initialization mode."""
         if self.version == 1:
             self.fmu.initialize(tStart=self.start_time, stopTime=self.stop_time)
         else:
             self.fmu.exitInitializationMode()
 
     def symbol(self, name: str) -> str:
-        """Return the name of a function in the library."""
+        """Return the name that an FMI function has in the library."""
         return f"{self.about.modelIdentifier}_fmi{name}" if self.version == 1 else f"{self.prefix}{name}"
 
     def bare(self, prototype: Any, name: str) -> Any:
-        """Return a library function without FMPy's checks and copies."""
+        """Return a library function that can be called directly, without FMPy's checks and copies."""
         function = getattr(self.fmu.dll, self.symbol(name))
         return prototype(ctypes.cast(function, ctypes.c_void_p).value)
 
     def prepared(self, name: str, *arguments: Any) -> partial[int]:
-        """Return a function that sets or gets values, with arguments that no call converts again."""
+        """Return a set or get function of the library, with arguments that are converted only once."""
         kinds = MOVED if self.version == 3 else MOVED[:-1]
         values = [kind(value) for kind, value in zip(kinds, (self.component, *arguments), strict=False)]
         return partial(self.bare(ctypes.CFUNCTYPE(INT), name), *values)
 
     def step_function(self) -> Any:
-        """Return the library's function for a step."""
+        """Return the library's function for a communication step."""
         return self.bare(STEPS[self.version], "DoStep")
 
     def stepping(self) -> Step:
@@ -379,14 +380,14 @@ class Instance:
         return do_step
 
     def inputs_changed(self, take: Callable[[], None] | None) -> None:
-        """Apply changed inputs by calling `take`; None says that no input has changed at the end of a step."""
+        """Apply changed inputs by calling `take`; None means that no input has changed at the end of a step."""
         if take is not None:
             take()
 
     # -- messages -------------------------------------------------------------------------
 
     def listen(self, status: int, message: bytes | None) -> None:
-        """Keep a message of the FMU; debug messages only on request."""
+        """Store a message of the FMU; debug messages only if debug logging is on."""
         try:
             if status >= WARNING or self._logging:
                 self._words = (message or b"").decode("utf-8", "replace")
@@ -395,7 +396,7 @@ class Instance:
             self._stop = stop
 
     def raise_stop(self) -> None:
-        """Raise the stop that arrived during a message."""
+        """Raise the interruption that occurred while a message was stored, if any."""
         stop, self._stop = self._stop, None
         if stop is not None:
             raise stop
@@ -421,17 +422,17 @@ class Instance:
             self.judge(error.function, error.status)
 
     def call(self, name: str, *arguments: Any) -> Any:
-        """Call a function of FMPy's object; a failure becomes a SimulationError."""
+        """Call a method of FMPy's object; a failure becomes a SimulationError."""
         with self.check_calls():
             return getattr(self.fmu, name)(*arguments)
 
     def directional_derivatives(self, unknowns: Sequence[Any], knowns: Sequence[Any]) -> list[Sequence[float]]:
-        """Return a column of slopes for each known variable."""
+        """Return one column of derivatives of the unknowns for each known variable."""
         references = [v.valueReference for v in unknowns]
         return [self.call("getDirectionalDerivative", references, [v.valueReference], [1.0]) for v in knowns]
 
     def judge(self, function: str, status: int) -> None:
-        """Handle a status other than OK; log a warning.
+        """Handle a status other than OK: log a warning, or raise an error.
 
         Raises:
             EarlyEnd: The FMU ended the simulation by Discard.
@@ -448,7 +449,7 @@ class Instance:
                 f"{function} returned Discard: the FMU ended the simulation early{words and f': {words}'}",
                 readable=True,
             )
-        if status == FATAL:  # FMI demands to abandon the instance.
+        if status == FATAL:  # FMI requires to abandon the instance
             self.fmu = None
         words, name = self.last_words(), STATUS[status] if 0 <= status < len(STATUS) else status
         if "KeyboardInterrupt" in words:  # Ctrl-C arrived while the FMU's Python code ran.
@@ -457,11 +458,11 @@ class Instance:
         raise CallFailed(self.name, self.time, f"{function} returned {name}{because}")
 
     def _end_time(self) -> float | None:
-        """Return the end time if the FMU discarded a step to end."""
+        """Return the end time [s] if the FMU discarded a step to end the simulation; otherwise None."""
         try:
             if self.version != 2 or not self.fmu.getBooleanStatus(TERMINATED):
                 return None
-        except Exception:  # The function is optional.
+        except Exception:  # the function is optional
             return None
         try:
             return max(self.time, float(self.fmu.getRealStatus(LAST_SUCCESSFUL)))
@@ -470,14 +471,14 @@ class Instance:
 
 
 def end_of(name: str, reached: float) -> EarlyEnd:
-    """Return the error of an ended simulation."""
+    """Return the EarlyEnd of a simulation that an FMU ended at time `reached` [s]."""
     return EarlyEnd(name, reached, Note("the FMU ended the simulation"), readable=True)
 
 
 def _callbacks(version: int, name: str, listen: Listen) -> Any:
-    """Return the callbacks of an instance of FMI 1.0 or 2.0, whose messages are routed by instance name.
+    """Return the callbacks of an FMI 1.0 or 2.0 instance, which route messages by instance name.
 
-    pythonfmu sends all messages of a process to the instance made last.
+    This is necessary because pythonfmu sends all messages of a process to the last instance.
     """
     import fmpy
 

@@ -1,4 +1,4 @@
-"""Reasons and remedies for a library that does not load.
+"""Reasons and cures for a library that does not load.
 
 For a library of another processor the loader reports only "no such file", so the header is examined first.
 """
@@ -28,7 +28,7 @@ MAKERS = {"GLIBC": "glibc", "GLIBCXX": "libstdc++", "CXXABI": "libstdc++", "GCC"
 
 
 def load_error(library: Path, error: Exception, *, hidden: bool = False) -> str:
-    """Return the reason in a line, with the remedy, unless libraries that the process hides are a reason."""
+    """Return one line with the reason why a library does not load, and the cure."""
     text = " ".join(str(error).split())
     text = text.removeprefix(f"Failed to load shared library {library}. ")  # FMPy's prefix
     text = re.sub(rf"{re.escape(str(library.parent))}/?", "", text)
@@ -37,9 +37,9 @@ def load_error(library: Path, error: Exception, *, hidden: bool = False) -> str:
 
 
 def _header_fault(library: Path) -> str | None:
-    """Return a library file's misfit with this machine.
+    """Return why a library file does not fit this machine, from its header; None if it fits.
 
-    Only Linux files are examined; on other systems the loader's own text is clear.
+    Only Linux files are examined; on other systems, the loader's own message is clear.
     """
     if platform.system() != "Linux":
         return None
@@ -67,7 +67,7 @@ def _header_fault(library: Path) -> str | None:
 
 
 def _loader_fault(text: str, error: Exception, hidden: bool) -> str:
-    """Return the message for a text of the loader, with the remedy of a known cause."""
+    """Return the message for an error of the loader, with the cure if the cause is known."""
     if hidden and not isinstance(error, AttributeError) and (TOO_NEW.search(text) or SYMBOL.search(text)):
         return text
     if match := TOO_NEW.search(text):
@@ -87,7 +87,7 @@ def _loader_fault(text: str, error: Exception, hidden: bool) -> str:
             f"package that contains it, or add its folder to LD_LIBRARY_PATH"
         )
     if match := SYMBOL.search(text):
-        if isinstance(error, AttributeError):  # The library is loaded, but an FMI function is missing.
+        if isinstance(error, AttributeError):  # the library loads, but an FMI function is missing
             return (
                 f"has no function {match['name']}, which FMI requires ({text}); export the "
                 "FMU again with a tool that includes this function"

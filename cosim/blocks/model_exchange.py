@@ -1,7 +1,7 @@
 """Model exchange: a solver integrates the FMU's derivatives between events, by default CVODE as in FMPy.
 
-State events are zero crossings of indicators, located by the solver. Time events are announced by the FMU. Step events
-are requested by the FMU after a solver step. Input changes are events too.
+The solver locates state events, which are zero crossings of event indicators. The FMU announces time events, and
+requests step events after a solver step. Changes of inputs are events, too.
 """
 
 from __future__ import annotations
@@ -27,30 +27,33 @@ EVENTS_NOT_SEPARATED = (
     "smaller tolerance to separate more events, or end the run before this time"
 )
 
-TOLERANCE = 1e-5  # relative tolerance by default, as in FMPy
-LONGEST = 50  # largest solver step as a fraction 1/50 of the whole time, as in FMPy
-MOST_EVENTS = 1000  # discrete updates at a time, or immediately consecutive events
-AT_ONCE = 1e-6  # fraction of a communication step; MOST_EVENTS within it is chattering
-CLOSE = 1e-9  # fraction of a communication step below which times are equal
+TOLERANCE = 1e-5  # default relative tolerance, as in FMPy
+LONGEST = 50  # the largest solver step is this fraction (1/50) of the whole time, as in FMPy
+MOST_EVENTS = 1000  # repeated discrete updates, or consecutive events without time between
+AT_ONCE = 1e-6  # share of a communication step; MOST_EVENTS events within this time are chattering
+CLOSE = 1e-9  # share of a communication step; times closer than this are equal
 NO_VARIABLE = 2**32 - 1  # FMI 1.0's value reference of a state without variable
-ULPS = 4  # multiples of the spacing of doubles, too short for CVODE
-SEPARABLE = 10_000  # multiples of the spacing of doubles between two events; CVODE locates each within 100
-SHORTENED = 0.25  # share of a solver step that is tried if it does not separate two events
-EVER_FASTER = 4  # spans between crossings of an indicator that are each shorter than the one before
-STRAIGHT = 0.1  # share of a solver step over which an indicator moves along its slope, as CVODE assumes after an event
+ULPS = 4  # spacings of doubles; a shorter span is too short for CVODE
+SEPARABLE = 10_000  # spacings of doubles that separate two events; CVODE locates each event within 100
+SHORTENED = 0.25  # a solver step that contains two events is repeated with this share of its length
+EVER_FASTER = 4  # consecutive, ever shorter times between crossings of an indicator that indicate accumulating events
+STRAIGHT = 0.1  # share of a solver step after an event in which an indicator follows its slope, as CVODE assumes
 
 
 class ModelExchange(Instance):
     """An FMU instance for model exchange.
 
     Attributes:
-        reached: Time [s] of the solver.
-        longest: Longest step of the solver [s]; None for a share of the run.
-        max_steps: Largest number of solver steps between communication points and events; None for the solver's own.
-        stops_at_events: Whether a step ends at its first event, which `handle_event` then handles.
-        cause: Kind of the event at which the last step ended; "" without one.
-        awaits_inputs: Whether inputs follow each step. An event at its end is handled with them, as one event.
-        changes_at: Times [s] at which inputs or parameters are changed after the step that ends there, likewise.
+        reached: Time [s] that the solver has reached.
+        longest: Longest step of the solver [s]; None for 1/50 of the run.
+        max_steps: Largest number of solver steps between communication points and events; None for the solver's
+            default.
+        stops_at_events: True if a step ends at its first event, which the caller then handles by `handle_event`.
+        cause: Kind of event at which the last step ended; "" if it ended without an event.
+        awaits_inputs: True if inputs are set after each step. An event at the end of a step is then handled together
+            with the change of inputs.
+        changes_at: Ends of steps [s] at which inputs or parameters change. An event there is handled together with the
+            change.
     """
 
     way: Way = "model-exchange"
@@ -65,14 +68,14 @@ class ModelExchange(Instance):
     awaits_inputs, changes_at = False, frozenset[float]()
     _first: Any = None  # event information from the initialization of FMI 1.0
     _started = False
-    _shortened = 0  # number of shortened steps
+    _shortened = 0  # how often a step was shortened
 
     def __init__(self, name: str, path: Path, description: Any, **settings: bool) -> None:
         super().__init__(name, path, description, **settings)
         self._states, self._indicator_count = description.numberOfContinuousStates, description.numberOfEventIndicators
-        # FMI 1.0 demands the call of every host.
+        # FMI 1.0 requires this call of every host
         self.needs_completed_steps = self.version == 1 or bool(self.about.needsCompletedIntegratorStep)
-        # indicator and direction → times of its last crossings, and the number of shortened steps until then
+        # (indicator, direction) → times of its last crossings, and the number of shortened steps before them
         self._crossings: dict[tuple[int, int], deque[tuple[float, int]]] = {}
         self._events: deque[float] = deque(maxlen=MOST_EVENTS)  # times of the last events
         self.event_counts = {"state": 0, "time": 0, "step": 0}
@@ -106,7 +109,7 @@ class ModelExchange(Instance):
         self._started = True
 
     def stepping(self) -> Step:
-        """Return the step; its errors name the failed call of many, and the time of this call."""
+        """Return the step function, whose errors name the failed FMI call and its time."""
         from fmpy.fmi1 import FMICallException
 
         def step(component: Any, t: float, h: float, _: int) -> int:
@@ -120,12 +123,12 @@ class ModelExchange(Instance):
         return step
 
     def _enter(self, mode: str) -> None:
-        """Enter a mode of the FMU; FMI 1.0 has none."""
+        """Enter a mode of the FMU; FMI 1.0 has no modes."""
         if self.version > 1:
             getattr(self.fmu, f"enter{mode}Mode")()
 
     def inputs_changed(self, take: Callable[[], None] | None) -> None:
-        if take is None:  # An event at the end of the step is handled without them, unless a change is due.
+        if take is None:  # no change is due: handle an event at the end of the step now
             if self.cause and not self.stops_at_events and not self._is_changed_at(self.reached, CLOSE * self._length):
                 self.handle_event(self._length)
             return
@@ -139,7 +142,7 @@ class ModelExchange(Instance):
         self.solver.reset(self.reached)
 
     def event(self, change: Callable[[], None] | None = None) -> None:
-        """Handle an event: change inputs, then update discrete states."""
+        """Handle an event: apply the change of inputs, then update discrete states."""
         self._enter("Event")
         if change is not None:
             change()
@@ -151,7 +154,7 @@ class ModelExchange(Instance):
         return self.reached, numbers(self.fmu.getContinuousStates, self._states)
 
     def restore_state(self, saved: tuple[float, list[float]]) -> None:
-        """Take back the states before a step, whose event, if any, has not been handled."""
+        """Restore the states before a step. An event at the end of that step must not have been handled."""
         self.reached, states = saved
         self.cause = ""
         self._place(self.reached, states)
@@ -162,7 +165,7 @@ class ModelExchange(Instance):
     def _step(self, t: float, h: float) -> None:
         """Integrate to the communication point across all events."""
         end, self._length = t + h, h
-        if self.cause and not self.stops_at_events:  # Nothing has changed at the last step's end.
+        if self.cause and not self.stops_at_events:  # nothing has changed since the end of the last step
             self.handle_event(h)
         spacing = math.ulp(max(abs(t), abs(end), end - self.start_time))
         close = ULPS * spacing + CLOSE * h
@@ -176,7 +179,7 @@ class ModelExchange(Instance):
             event = self.next_event
             at_event = event is not None and event <= end + close
             target = end
-            if event is not None and at_event:  # An event within rounding of the target is not missed.
+            if event is not None and at_event:  # includes an event within rounding of the target
                 target = event if event < end - close else max(event, end)
             state_event, step_event = self._integrate(target, ULPS * spacing)
             if state_event or step_event or at_event:
@@ -195,7 +198,7 @@ class ModelExchange(Instance):
     def _integrate(self, target: float, min_span: float) -> tuple[bool, bool]:
         """Integrate to the target or the first event; return whether a state event and a step event occurred.
 
-        The FMU is told of each step of the solver if it needs that. Nothing is integrated over `min_span` [s] or less.
+        The FMU is notified of each solver step if it requires this. A span of at most `min_span` [s] is not integrated.
         """
         while True:
             state_event = False
@@ -219,8 +222,8 @@ class ModelExchange(Instance):
     def _solver_step(self, target: float) -> tuple[bool, float]:
         """Take one or more steps of the solver; return whether a state event occurred, and the time reached.
 
-        A step is too long if an indicator leaves its side after an event and returns to it within the step, or if it
-        crosses zero against its slope, since the error of the solver is larger than its way. Shorter steps follow.
+        A step is repeated with shorter steps if, within the step, an indicator changes its sign twice after an event,
+        or crosses zero against its slope, which means that the solver's error exceeds the change of the indicator.
 
         Raises:
             SimulationError: Two events are closer together than times can be separated.
@@ -230,7 +233,7 @@ class ModelExchange(Instance):
             return bool(event), float(time)
         spacing = math.ulp(max(abs(self.reached), abs(target), target - self.start_time))
         saved = self.save_state()
-        hidden, false = set[int](), set[int]()  # indicators for which the step is too long
+        hidden, false = set[int](), set[int]()  # indicators that require a shorter step
         while True:
             is_first = self.solver.is_first
             begins = self._indicators(*saved) if is_first else []
@@ -261,7 +264,7 @@ class ModelExchange(Instance):
             self.solver.reset(self.reached, SHORTENED * length)
 
     def _note_crossings(self, roots: Sequence[int], time: float, spacing: float) -> None:
-        """Note the time of crossings; raise SimulationError if they come ever faster, too fast for the solver."""
+        """Record the time of crossings; raise SimulationError if they accumulate faster than the solver resolves."""
         for crossing in ((k, root) for k, root in enumerate(roots) if root):
             last = self._crossings.setdefault(crossing, deque(maxlen=EVER_FASTER + 1))
             last.append((time, self._shortened))
@@ -273,12 +276,12 @@ class ModelExchange(Instance):
                 raise SimulationError(self.name, self.reached, fault)
 
     def _ahead(self, point: tuple[float, Sequence[float]], slopes: Sequence[float], span: float) -> list[float]:
-        """Return the event indicators a time span [s] ahead of a point, along the slopes of the states."""
+        """Return the event indicators after a time `span` [s] from a point, with states that follow their slopes."""
         states = [x + span * slope for x, slope in zip(point[1], slopes, strict=True)]
         return self._indicators(point[0] + span, states)
 
     def _place(self, time: float, states: Sequence[float]) -> None:
-        """Set time and continuous states."""
+        """Set the FMU's time and continuous states."""
         self.fmu.setTime(time)
         self.set_states(states)
 
@@ -298,12 +301,12 @@ class ModelExchange(Instance):
         return numbers(derivatives_of(self.fmu), self._states)
 
     def _explain(self, error: SolverFailed) -> str:
-        """Return the solver's reason with the derivative's name."""
+        """Return the solver's reason for its failure, with the name of the derivative concerned."""
         if error.derivative is None:
             return error.reason
         number, value = error.derivative
         derivatives = self.description.derivatives
-        are_scalar = len(derivatives) == self._states  # Arrays would break the numbering.
+        are_scalar = len(derivatives) == self._states  # with arrays, indices would not match
         name = derivatives[number].variable.name if are_scalar else f"number {number + 1}"
         return (
             f"the derivative {name} is {value}, even with the shortest steps of the solver. If the exact solution "
@@ -311,7 +314,7 @@ class ModelExchange(Instance):
         )
 
     def handle_event(self, h: float) -> None:
-        """Handle the event at which the step of `h` [s] has come to; raise SimulationError for chattering."""
+        """Handle the event at the end of a step of `h` [s]; raise SimulationError for chattering."""
         cause, self.cause = self.cause, ""
         self.event_counts[cause] += 1
         self._events.append(self.reached)
@@ -320,7 +323,7 @@ class ModelExchange(Instance):
             raise SimulationError(self.name, self.reached, fault)
         before = self._point() if cause == "step" else None
         self.event()
-        if before is None or self._point() != before:  # Else the solution goes on smoothly.
+        if before is None or self._point() != before:  # otherwise the solution continues smoothly
             self.solver.reset(self.reached)
 
     def _point(self) -> tuple[list[float], ...]:
@@ -330,7 +333,7 @@ class ModelExchange(Instance):
         return states, self._rates(), indicators
 
     def update(self) -> None:
-        """Update discrete states until stable; note the next time event."""
+        """Update discrete states until none changes, and store the time of the next time event."""
         due: float | None = None
         for _ in range(MOST_EVENTS):
             if self.version > 1:
@@ -348,7 +351,7 @@ class ModelExchange(Instance):
             if due is None or due > self.reached:
                 self.next_event = due
                 return
-            self._enter("ContinuousTime")  # A time event due now is an event of its own.
+            self._enter("ContinuousTime")  # A time event that is due now is handled separately.
             self._enter("Event")
         fault = f"its discrete states do not settle: they still change after {MOST_EVENTS} updates at one time"
         if due is not None and due <= self.reached:
@@ -359,22 +362,22 @@ class ModelExchange(Instance):
         raise SimulationError(self.name, self.reached, fault)
 
     def state_references(self) -> list[int]:
-        """Return the value references of the continuous states. FMI 1.0 declares them at run time only, if at all."""
+        """Return the states' value references. FMUs of FMI 1.0 declare them only at run time, if at all."""
         from fmpy.fmi1 import FMICallException
 
         count = self.description.numberOfContinuousStates
         references = (ctypes.c_uint * count)(*[NO_VARIABLE] * count)
-        with contextlib.suppress(FMICallException):  # Some exporters do not implement it.
+        with contextlib.suppress(FMICallException):  # Some exporting tools do not implement the function.
             self.fmu.getStateValueReferences(references, count)
         return list(references)
 
 
 def _is_hidden(begin: float, ahead: float, end: float, *, was: bool) -> bool:
-    """Return whether an indicator leaves its side and returns to it within a step.
+    """Return True if an indicator changes its sign twice within a step, which hides both crossings.
 
     Args:
-        ahead: Indicator shortly after the beginning, along its slope.
-        was: Whether it did so in a longer step. It then still does if it moves towards the other side.
+        ahead: Indicator shortly after the beginning, extrapolated by its slope.
+        was: Result for a longer step. If it was True, the indicator must only move towards zero.
     """
     leaves = (ahead > 0.0) != (begin > 0.0) or (was and (ahead <= begin if begin > 0.0 else ahead >= begin))
     return leaves and (end > 0.0) == (begin > 0.0)

@@ -1,4 +1,4 @@
-"""A reference over time: steps and ramps."""
+"""A reference signal over time: steps and ramps."""
 
 from __future__ import annotations
 
@@ -48,10 +48,10 @@ class Profile(Part):
 
 
 class ProfileFunction:
-    """Value of a profile at a time: the last step, or the point on the last ramp; a new change interrupts a ramp.
+    """Function from a time [s] to the value of a profile. A change that begins during a ramp interrupts the ramp.
 
     Args:
-        step: Length [s] of the steps of a run, for the comparison of times.
+        step: Communication step [s], by which equal times are recognized.
     """
 
     def __init__(self, profile: Profile, factor: float = 1.0, step: float = 0.0) -> None:
@@ -63,7 +63,7 @@ class ProfileFunction:
         self.changes = [(change.to, change.rate) for change in profile.changes]
 
     def __call__(self, t: float) -> float:
-        # A time within rounding of a step belongs to the step.
+        # A time that equals that of a change within rounding is at the change.
         k = bisect.bisect_right(self.times, t + rounding(t, self.step)) - 1
         if k < 0:
             return self.factor * self.begins[0]
@@ -71,7 +71,7 @@ class ProfileFunction:
         return self.factor * _value_after(self.begins[k], to, rate, t - self.times[k])
 
     def over(self, times: Array) -> Array:
-        """Return values at ordered times, equal to single calls bit for bit."""
+        """Return values at ordered times, with exactly the results of single calls."""
         bounds = [0, *np.searchsorted(times + roundings(times, self.step), self.times).tolist(), len(times)]
         values = np.full(len(times), self.begins[0])
         for k, (to, rate) in enumerate(self.changes):

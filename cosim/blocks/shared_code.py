@@ -1,7 +1,7 @@
-"""Code of FMUs that a process finds by name: libraries, unique symbols of C++ and Python modules.
+"""Code of FMUs that a process finds by name: libraries, unique C++ symbols, and Python modules.
 
-A process has one library, symbol or module of a name. An FMU that brings another one of that name would execute the
-code of the FMU that was loaded first. Such FMUs need processes of their own.
+A process loads only one library, symbol or module of each name. If a second FMU contains different code with the same
+name, it would execute the code of the first FMU. Such FMUs need processes of their own.
 """
 
 from __future__ import annotations
@@ -38,13 +38,13 @@ SYMBOL = np.dtype(
 
 @dataclass
 class ElfLibrary:
-    """Names by which the loader knows a library, and the symbols that it defines.
+    """Names of a Linux library for the loader, and the symbols that the library defines.
 
     Attributes:
-        soname: Name in the process, "" for that of the file.
-        needed: Names of the libraries that it needs.
+        soname: Name for the loader; "" if it is the file name.
+        needed: Names of the libraries that this library needs.
         defined: Symbols that other libraries can refer to.
-        unique: Those of them that exist once in a process (C++, `STB_GNU_UNIQUE`).
+        unique: Symbols in `defined` that exist only once in a process (C++, `STB_GNU_UNIQUE`).
     """
 
     soname: str = ""
@@ -54,7 +54,7 @@ class ElfLibrary:
 
 
 def read_elf(content: bytes, *, symbols: bool = True) -> ElfLibrary:
-    """Return the names of a library, if asked with its symbols; none for another kind of file and a damaged one."""
+    """Return the names and, if requested, symbols of a Linux library; empty for any other or damaged file."""
     if content.startswith(HEAD):
         with suppress(struct.error, ValueError, IndexError, OverflowError):
             return _read(content, symbols)
@@ -88,7 +88,7 @@ def _read(content: bytes, with_symbols: bool) -> ElfLibrary:
     return elf
 
 
-# files of this system's libraries, and words in their folders, of FMI 1.0, 2.0 and 3.0
+# for FMI 1.0, 2.0 and 3.0: suffixes of this system's libraries, and words in the names of their folders
 ENDING, WORDS = {"Windows": (r"\.dll", ("win", "windows")), "Darwin": (r"\.dylib|\.so", ("darwin",))}.get(
     platform.system(), (r"\.so(\.\d+)*", ("linux",))
 )
@@ -97,26 +97,26 @@ PLATFORM = re.compile(r"(?:^|/)binaries/([^/]+)/")
 RESOURCES = re.compile(r"(?:resources/original/)*resources/(?P<name>(?P<top>[^/.]+)[^/]*(?P<rest>/.*)?)")
 IDENTIFIER = re.compile(rb'modelIdentifier\s*=\s*"([^"]*)"')
 CODE = (".py", ".pyc", ".pyd", ".so")
-NAME_OF_SLAVE = "slavemodule.txt"  # of pythonfmu, no data of a module
-OF_STD = re.compile(r"_Z(G[VR]|T[ISVT])?[ZNK]*S[tabsiod]")  # symbols of the C++ library, equal in all of its builds
-OF_SYSTEM = re.compile(r"(lib(c|m|dl|pthread|rt|gcc_s|stdc\+\+|atomic)|ld-linux[\w-]*)\.so")  # without data of FMUs
-VERSION = ("fmi2GetVersion", "fmi3GetVersion", "fmiGetVersion")  # which the library of an FMU exports
+NAME_OF_SLAVE = "slavemodule.txt"  # file of pythonfmu with the name of the slave's module
+OF_STD = re.compile(r"_Z(G[VR]|T[ISVT])?[ZNK]*S[tabsiod]")  # symbols of the C++ standard library, equal in all builds
+OF_SYSTEM = re.compile(r"(lib(c|m|dl|pthread|rt|gcc_s|stdc\+\+|atomic)|ld-linux[\w-]*)\.so")  # have no data of FMUs
+VERSION = ("fmi2GetVersion", "fmi3GetVersion", "fmiGetVersion")  # function that every FMU library exports
 ALLOCATORS = {"malloc", "calloc", "realloc", "free"}
 
 
 class SharedCode(FmuError):
-    """Error: this process has loaded other code of a name that an FMU brings."""
+    """Error: this process has loaded different code under a name that an FMU uses."""
 
 
 @dataclass
 class Code:
-    """Code of an FMU by name, each with a digest of its content.
+    """Code of an FMU: name → digest of its content.
 
     Attributes:
-        wanted: Code that is found by name: a library that another needs, a unique symbol, a module.
-        offered: Code that another FMU's search by name could find.
-        symbols: Symbols that its libraries define.
-        needed: Libraries that its libraries need.
+        wanted: Code that this FMU looks up by name: libraries that others need, unique symbols, modules.
+        offered: Code that another FMU could find by name.
+        symbols: Symbols that the FMU's libraries define.
+        needed: Libraries that the FMU's libraries need.
         libraries: Name and digest of each library in the FMU.
         modules: Python module → checksum of its file.
     """
@@ -129,14 +129,14 @@ class Code:
     modules: dict[str, int] = field(default_factory=dict)
 
     def clash(self, other: Code) -> str:
-        """Return what both FMUs have by one name and with different content, "" if nothing."""
+        """Return a name under which both FMUs have different code; "" if there is none."""
         pairs = (self.wanted, other.offered), (other.wanted, self.offered)
         names = [n for one, two in pairs for n in one.keys() & two.keys() if one[n] != two[n]]
         return min(names, default="")
 
 
 def code_of(path: Path) -> Code:
-    """Return the code of an FMU; none if it cannot be read, which its loading reports."""
+    """Return the code of an FMU; empty if the FMU cannot be read, which is reported when it is loaded."""
     try:
         about = path.stat()
         return _code_of(path.resolve(), about.st_mtime_ns, about.st_size)
@@ -179,7 +179,7 @@ def _digest(info: zipfile.ZipInfo) -> str:
 
 
 def _modules(files: Iterable[tuple[str, str]]) -> dict[str, str]:
-    """Return the Python modules in the resources, each with the digests of its files and of the data beside it."""
+    """Return Python module → digest of its files and of the data beside it, for the modules in the resources."""
     parts: dict[str, list[tuple[str, str]]] = {}
     for name, digest in files:
         if (match := RESOURCES.fullmatch(name)) and match["name"] != NAME_OF_SLAVE:
@@ -193,19 +193,19 @@ def _modules(files: Iterable[tuple[str, str]]) -> dict[str, str]:
 
 # -- FMUs of one process ---------------------------------------------------------------------------
 
-_loaded: dict[Path, Code] = {}  # FMUs of this process, also those that are freed: modules and some libraries stay
+_loaded: dict[Path, Code] = {}  # also freed FMUs, because modules and some libraries remain
 
 
 def has_loaded_fmus() -> bool:
-    """Return whether this process has loaded an FMU."""
+    """Return True if this process has loaded an FMU."""
     return bool(_loaded)
 
 
 def claim(path: Path) -> list[str]:
-    """Note that this process loads an FMU; return warnings of modules and libraries that it has from elsewhere.
+    """Record that this process loads an FMU; return warnings on equally named code of the process.
 
     Raises:
-        SharedCode: It has loaded an FMU with other code of the same name.
+        SharedCode: The process has loaded an FMU with different code of the same name.
     """
     code = code_of(path)
     for other, known in _loaded.items():
@@ -219,7 +219,7 @@ def claim(path: Path) -> list[str]:
     warnings = []
     for name, checksum in code.modules.items():
         file = getattr(sys.modules.get(name), "__file__", None)
-        with suppress(OSError):  # The folder of an earlier FMU with the same code is removed.
+        with suppress(OSError):  # the folder of an earlier FMU with the same code may be removed
             if file is not None and checksum and crc32(Path(file).read_bytes()) != checksum:
                 warnings.append(
                     f"{path.name} uses the module {name} of {file}, which its process loaded before, instead of its "
@@ -228,7 +228,7 @@ def claim(path: Path) -> list[str]:
     brought = code.needed & {name for name, _ in code.libraries}
     maps = []
     if brought:
-        with suppress(OSError):  # none except on Linux
+        with suppress(OSError):  # /proc exists on Linux only
             maps = [line.split(maxsplit=5) for line in Path("/proc/self/maps").read_text().splitlines()]
     for file in sorted({parts[5] for parts in maps if len(parts) == 6 and ".so" in parts[5]}):
         name, digest = _soname_and_digest(file)
@@ -242,7 +242,7 @@ def claim(path: Path) -> list[str]:
 
 @lru_cache(1024)
 def _soname_and_digest(file: str) -> tuple[str, str]:
-    """Return the name by which the loader knows a library, and the digest of its content; "" if it is removed."""
+    """Return the name by which the loader knows a library, and the digest of its content; "" if the file is removed."""
     try:
         content = Path(file).read_bytes()
     except OSError:
@@ -251,7 +251,7 @@ def _soname_and_digest(file: str) -> tuple[str, str]:
 
 
 def may_share_data(one: Path, other: Path) -> bool:
-    """Return whether two FMUs of a process may have common global data: by a library, a symbol of C++ or a module."""
+    """Return True if two FMUs in a process may share global data: by a library, a C++ symbol or a module."""
     code, others = code_of(one), code_of(other)
     libraries = {name for name in code.needed & others.needed if not OF_SYSTEM.match(name)}
     return bool(libraries or code.wanted.keys() & others.wanted.keys())
@@ -262,7 +262,7 @@ def separate(fmus: Iterable[tuple[str, Path]], apart: Iterable[str]) -> tuple[se
 
     Args:
         fmus: Components and their FMUs.
-        apart: Components that have processes of their own.
+        apart: Components that already have processes of their own.
     """
     shared: dict[Path, tuple[str, Code]] = {}
     names, notes = set[str](), list[str]()
@@ -285,20 +285,20 @@ def separate(fmus: Iterable[tuple[str, Path]], apart: Iterable[str]) -> tuple[se
 
 @contextmanager
 def own_symbols_first(path: Path, library: Path) -> Iterator[None]:
-    """Load a library so that its references find its own symbols before those of the process, if both have some.
+    """Load a library so that it uses its own symbols before equally named symbols of the process.
 
-    A process that replaces the allocator (LD_PRELOAD), an FMU that has an allocator and one that needs Python's library
-    share the symbols of the process.
+    Exceptions, which use the symbols of the process: a replaced allocator (LD_PRELOAD), an FMU with its own allocator,
+    and an FMU that needs Python's library.
     """
     handle = None
     if sys.platform == "linux" and _needs_own_symbols(code_of(path)):
         library, folder = library.resolve(), os.getcwd()
         os.chdir(library.parent)  # as FMPy does
-        with suppress(OSError):  # FMPy's load reports it.
+        with suppress(OSError):  # FMPy reports the error when it loads the library
             handle = ctypes.CDLL(str(library), mode=os.RTLD_NOW | os.RTLD_LOCAL | os.RTLD_DEEPBIND)._handle
         os.chdir(folder)
     try:
-        yield  # Another load of the library gets the same one.
+        yield  # a second load of the library returns the same handle
     finally:
         if sys.platform == "linux" and handle is not None:
             from _ctypes import dlclose
@@ -323,5 +323,5 @@ def _needs_own_symbols(code: Code) -> bool:
 
 @cache
 def _process() -> int:
-    """Return the handle of the symbols of this process."""
+    """Return the loader's handle of this process, for its symbols."""
     return int(ctypes.CDLL(None)._handle)

@@ -24,9 +24,9 @@ TOO_MANY_SOLVER_STEPS = (
 DISCARD = 2
 DOUBLES = ctypes.POINTER(ctypes.c_double)
 Solver = Literal["cvode", "solve_ivp"]
-REFUSALS = 10  # discarded derivatives that explain a stuck solver
-MAX_STEPS = 500  # of CVODE between communication points and events, as in FMPy
-NORMAL, TOO_MUCH_WORK, ROOT_RETURN = 1, -1, 2  # task and return values of CVODE
+REFUSALS = 10  # number of discarded derivative evaluations after which a solver counts as stuck
+MAX_STEPS = 500  # steps of CVODE between communication points and events, as in FMPy
+NORMAL, TOO_MUCH_WORK, ROOT_RETURN = 1, -1, 2  # CVODE's task, and two of its return values
 FAILURES = {  # CVODE's error codes with remedies
     -2: "the tolerance of CVODE is finer than the resolution of doubles; use a larger tolerance",
     -3: NO_STEP_WITHIN_TOLERANCE.format(solver="CVODE"),
@@ -40,12 +40,12 @@ def solver(name: Solver | None, fmu: Any, symbol: Callable[[str], str], **settin
 
     Both have the same interface:
 
-    step(t, target): Integrate from t [s] towards the target; return whether a state event occurred, the direction in
-        which each indicator crossed zero (0 for none), and the time reached, just beyond the event. CVODE returns at
-        the target or the event, but after one step if it was reset or `single_steps` is set; solve_ivp returns after
-        each accepted step.
+    step(t, target): Integrate from t [s] towards the target; return True if a state event occurred, the direction in
+        which each indicator crossed zero (0 for none), and the time reached, which is just after an event. CVODE
+        returns at the target, at an event, or after one step (after `reset`, or if `single_steps` is set); solve_ivp
+        returns after each accepted step.
     reset(t, longest): Restart from the states of the FMU; no step is longer than `longest` [s] until the next reset.
-    is_first: Whether the next step is the first one after a reset.
+    is_first: True if the next step is the first one after a reset.
     last_step: Length of the last accepted step [s].
 
     Args:
@@ -73,7 +73,7 @@ class SolverFailed(Exception):
 
 
 class CompiledRates(ctypes.Structure):
-    """Derivatives of an FMU by `rates.c`, and what CVODE could not use since `begin`."""
+    """Compiled derivatives of an FMU (`rates.c`), and errors since `begin` that made them unusable for CVODE."""
 
     names: list[str]
     _fields_ = (
@@ -91,10 +91,10 @@ class CompiledRates(ctypes.Structure):
 
     @classmethod
     def of(cls, fmu: Any, states: int, data: int, start: float, symbol: Callable[[str], str]) -> CompiledRates | None:
-        """Return the derivatives of an FMU; None without states or compiler.
+        """Return the derivatives of an FMU as compiled code; None if there are no states or no compiler.
 
         Args:
-            data: Offset of the pointer to the numbers within the content of a vector.
+            data: Offset, in CVODE's vector structure, of the pointer to its numbers.
             symbol: Name of an FMI function → its name in the library.
         """
         try:
@@ -115,7 +115,7 @@ class CompiledRates(ctypes.Structure):
 
 @cache
 def rates_function() -> Any:
-    """Return the compiled derivatives; raise NoCompiler or CompilerFailed without a working compiler."""
+    """Return the compiled function for derivatives; raise NoCompiler or CompilerFailed if it cannot be compiled."""
     return load_library(Path(__file__).with_name("rates.c").read_text(encoding="utf-8")).rates
 
 
@@ -131,13 +131,13 @@ def cvode(
     max_steps: int | None = None,
     symbol: Callable[[str], str],
 ) -> Any:
-    """Return FMPy's CVODE for an FMU, whose derivatives C calls if there is a compiler.
+    """Return FMPy's CVODE for an FMU. With a compiler, C code calls the derivatives.
 
-    CVODE's own time begins with the run, since it locates events to 100 roundings of its time.
-    Failed FMU calls are stored in `failed`, because exceptions cannot pass through C.
+    CVODE's time counts from the start of the run, because CVODE locates events within 100 roundings of its time. Failed
+    FMU calls are stored in `failed`, because exceptions cannot pass through C.
 
     Args:
-        single_steps: Whether `step` returns after each step of the solver.
+        single_steps: Return from `step` after each step of the solver.
         max_steps: Largest number of steps between communication points and events.
         symbol: Name of an FMI function → its name in the library, for calls from C.
     """
@@ -151,12 +151,12 @@ def cvode(
     most = MAX_STEPS if max_steps is None else max_steps
 
     class Guarded(CVodeSolver):  # type: ignore[misc]
-        is_first, goal, steps = True, math.nan, 0  # first step after a reset; last target, single steps towards it
+        is_first, goal, steps = True, math.nan, 0  # of a reset; last target; single steps towards it
         failed: Exception | None = None
-        refusals: list[Exception]  # errors of this step for which CVODE tries shorter steps
+        refusals: list[Exception]  # errors in this step because of which CVODE tries shorter steps
 
         def f(self, t: float, y: Any, ydot: Any, rest: Any) -> int:
-            """Store the derivatives at a point; a derivative that is not finite asks for a shorter step."""
+            """Store the derivatives at a point; a derivative that is not finite requests a shorter step."""
             try:
                 super().f(t, y, ydot, rest)
             except FMICallException as error:
@@ -175,8 +175,8 @@ def cvode(
         def step(self, t: float, target: float) -> tuple[bool, list[int], float]:
             """Integrate towards the target.
 
-            In single steps, CVODE may take one step in each call and reports that this was too little. Its steps are
-            therefore the same as without. A step beyond the last target ends at a point that is returned first.
+            For single steps, CVODE is allowed one step per call and reports too much work, which leaves the steps
+            unchanged. If a step has passed the last target, the next call returns at the end of that step.
             """
             is_single = single_steps or (self.is_first and indicators > 0)
             goal, since = target, target - start
@@ -213,7 +213,7 @@ def cvode(
 
         def __del__(self) -> None:
             super().__del__()
-            core.SUNContext_Free(ctypes.byref(self.sunctx))  # else its log stays open
+            core.SUNContext_Free(ctypes.byref(self.sunctx))  # otherwise its log stays open
 
         @property
         def last_step(self) -> float:
@@ -229,7 +229,7 @@ def cvode(
             return number.value
 
         def _raise(self) -> None:
-            """Raise the reason for which CVODE did not reach the target."""
+            """Raise the error because of which CVODE did not reach the target."""
             if compiled is not None and compiled.refusals:
                 error: Exception = SolverFailed(FAILURES[-3], (compiled.place, compiled.rate))
                 if compiled.status:
@@ -274,7 +274,7 @@ def cvode(
         relativeTolerance=tolerance,
     )
     if compiled is not None:
-        integrator.compiled = compiled  # lives as long as the solver
+        integrator.compiled = compiled  # kept as long as the solver exists
         library.CVodeSetUserData(integrator.memory, ctypes.c_void_p(ctypes.addressof(compiled)))
     # CVODE prints nothing itself; `_raise` reports its errors.
     logger = ctypes.c_void_p()
@@ -292,12 +292,12 @@ def _not_finite(values: Any) -> tuple[int, float] | None:
 
 
 def derivatives_of(fmu: Any) -> Any:
-    """Return the FMU's derivative function of any FMI version."""
+    """Return FMPy's method that computes derivatives, for any version of FMI."""
     return getattr(fmu, "getContinuousStateDerivatives", None) or fmu.getDerivatives
 
 
 def nominals(fmu: Any, cells: Any, count: int) -> None:
-    """Write the nominal values of the FMU's states into `cells`, as positive numbers; 1 if a value is unknown."""
+    """Write the nominal values of the FMU's states, as positive numbers, into `cells`; unknown values become 1."""
     function = getattr(fmu, "getNominalsOfContinuousStates", None) or fmu.getNominalContinuousStates  # FMI 1.0
     function(cells, count)
     values = ctypes.cast(cells, DOUBLES)
@@ -306,7 +306,7 @@ def nominals(fmu: Any, cells: Any, count: int) -> None:
 
 
 def numbers(function: Any, count: int) -> list[float]:
-    """Return the numbers that one of an FMU's functions writes."""
+    """Return the `count` numbers that a function of the FMU writes into an array."""
     cells = (ctypes.c_double * count)()
     if count:
         function(ctypes.cast(cells, DOUBLES), count)
@@ -314,7 +314,7 @@ def numbers(function: Any, count: int) -> list[float]:
 
 
 class SolveIvp:
-    """The method Radau of scipy's solve_ivp, step by step."""
+    """The method Radau of scipy's solve_ivp, called for single steps."""
 
     def __init__(
         self,
@@ -336,7 +336,7 @@ class SolveIvp:
         self.reset(start)
 
     def reset(self, time: float, longest: float | None = None) -> None:
-        """Reread nominal values after a change of states."""
+        """Restart at a time [s], and read the nominal values again."""
         self._radau: Any = None
         self.is_first = True
         self._first_step, self._longest = longest, longest or self.whole
@@ -347,7 +347,7 @@ class SolveIvp:
         import numpy as np
 
         self.discarded, self.derivative = None, None
-        with np.errstate(all="ignore"):  # Non-finite derivatives only shorten the steps.
+        with np.errstate(all="ignore"):  # non-finite derivatives only shorten the steps
             try:
                 if self._radau is None or self._radau.t_bound != target:
                     from scipy.integrate import Radau
@@ -360,7 +360,7 @@ class SolveIvp:
                 radau = self._radau
                 before = self._signs(t, radau.y)
                 radau.step()
-            except ValueError as error:  # from a non-finite matrix
+            except ValueError as error:  # a matrix is not finite
                 raise self.discarded or SolverFailed(f"solve_ivp: {error!s}") from None
             if radau.status == "failed":
                 reason = NO_STEP_WITHIN_TOLERANCE.format(solver="solve_ivp")
@@ -369,7 +369,7 @@ class SolveIvp:
         self.is_first, self.last_step = False, radau.t - t
         if self._signs(radau.t, radau.y) != before:
             end, solution = radau.t, radau.dense_output()
-            while t < (middle := 0.5 * (t + end)) < end:  # to the first time at which signs are found changed
+            while t < (middle := 0.5 * (t + end)) < end:  # bisection for the first time with changed signs
                 if self._signs(middle, solution(middle)) == before:
                     t = middle
                 else:
@@ -382,7 +382,7 @@ class SolveIvp:
         return False, [0] * self.indicators, float(radau.t)
 
     def _signs(self, t: float, x: Any) -> list[bool]:
-        """Return whether each event indicator is positive; set the FMU to the point."""
+        """Return for each event indicator whether it is positive; set time and states of the FMU to the point."""
         self._set(t, x)
         return [z > 0 for z in numbers(self.fmu.getEventIndicators, self.indicators)]
 
@@ -393,7 +393,7 @@ class SolveIvp:
             self.fmu.setContinuousStates(ctypes.cast(cells, DOUBLES), self.states)
 
     def _rates(self, t: float, x: Any) -> list[float]:
-        """Return the derivatives; NaN if the FMU discards. Radau then tries a shorter step."""
+        """Return the derivatives; NaN if the FMU discards the call, so that Radau tries a shorter step."""
         from fmpy.fmi1 import FMICallException
 
         try:

@@ -29,10 +29,10 @@ WHOLE = re.compile(r"[-+]?\d+")
 
 
 class SourceBlock(Component):
-    """Signals as functions of time; their `over` equals single calls at ordered times.
+    """Signals as functions of time. `over` returns exactly the values of single calls at the same times.
 
     Attributes:
-        assumed: What was assumed to read a file, in words.
+        assumed: Sentences on the assumptions made when a file was read.
     """
 
     assumed: tuple[str, ...] = ()
@@ -43,28 +43,28 @@ class SourceBlock(Component):
         signals: Mapping[str, tuple[str, ProfileFunction | Recorded]],
         exact: Mapping[str, tuple[str, Recorded]] = MappingProxyType({}),
     ) -> None:
-        """Make a source.
+        """Create a source.
 
         Args:
             signals: Name → unit and function.
-            exact: Name → FMI type and recorded values, of signals beyond the exact range of doubles.
+            exact: Name → FMI type and recorded values, for signals whose values doubles cannot represent exactly.
         """
         self.name = name
         self.exact_outputs = tuple(Signal(signal, kind=kind) for signal, (kind, _) in exact.items())
         self.exact_functions = tuple(function for _, function in exact.values())
-        # Whether a value is a difference is known from the input that it goes to.
+        # Only the connected input determines whether a value is a difference.
         self.outputs = tuple(Signal(signal, unit, relative=True) for signal, (unit, _) in signals.items())
         self.functions = tuple(function for _, function in signals.values())
         self._t = 0.0
 
     @property
     def interpolated(self) -> frozenset[str]:
-        """Return the names of the signals that follow lines between the rows of a file."""
+        """Return the names of the signals that are interpolated between the rows of a file."""
         pairs = zip(self.outputs, self.functions, strict=True)
         return frozenset(s.name for s, f in pairs if isinstance(f, Recorded) and f.is_linear)
 
     def hold(self, name: str) -> None:
-        """Hold a signal of a file between its rows."""
+        """Hold a signal constant between the rows of a file."""
         for signal, function in zip(self.outputs, self.functions, strict=True):
             if signal.name == name and isinstance(function, Recorded):
                 function.is_linear = False
@@ -87,7 +87,7 @@ class SourceBlock(Component):
         self._t = t + h
 
     def slot(self, cells: Any) -> Slot | str:
-        """Return the C loop's slot with prepared values, or the reason for none."""
+        """Return the C loop's slot with precomputed values, or the reason why there is none."""
         if self.exact_functions:
             return f"{self.name} has integers that doubles cannot represent"
         slot = Slot(0, time=self._t, scalars=len(self.outputs))
@@ -100,7 +100,7 @@ class SourceBlock(Component):
         return np.ascontiguousarray(columns.reshape(len(self.functions), len(times)).T)
 
     def set_time(self, t: float) -> None:
-        """Note the time [s] after C steps."""
+        """Record the time [s] after steps in C."""
         self._t = t
 
     def checkpoint(self) -> float:
@@ -114,7 +114,7 @@ def reference(name: str, profiles: Mapping[str, Profile], step: float = 0.0) -> 
     """Return a source of reference signals that follow profiles; degrees become radians.
 
     Args:
-        step: Length [s] of the steps of a run, for the comparison of times.
+        step: Communication step [s], by which equal times are recognized.
     """
     signals = {}
     for signal, profile in profiles.items():
@@ -134,17 +134,19 @@ def playback(
 ) -> SourceBlock:
     """Return the columns of a CSV file as signals.
 
-    The time is the column `time`, one with another usual name, or the first that increases; header cells are `name` or
-    `name [unit]`. Degrees become radians.
+    The time column is `time`, a column with another usual name, or the first increasing column. Header cells are `name`
+    or `name [unit]`. Degrees become radians.
 
     Args:
-        names: Names used by connections, whose brackets are not units. Other columns with non-numbers are ignored.
-        exact: Column → FMI type of an input that it feeds and whose values no double holds: text, 64-bit integers.
-        step: Length [s] of the steps of a run, for the comparison of times.
-        linear: Whether columns are interpolated linearly between rows, in place of held.
+        names: Column names that connections use; their brackets are not units. Of the other columns, those that are not
+            numeric are ignored.
+        exact: Column → FMI type of the connected input, if doubles cannot represent its values exactly: text, 64-bit
+            integers.
+        step: Communication step [s], by which equal times are recognized.
+        linear: Interpolate linearly between rows, instead of holding values.
 
     Raises:
-        InputError: The file has faults; it lists all of them.
+        InputError: The file has faults, all of which the error lists.
     """
     table, exactly = read_recording(path, names, exact)
     times, signals = table["time"].tolist(), {}
@@ -160,10 +162,10 @@ def playback(
 def read_recording(
     path: Path, names: Collection[str], exact: Mapping[str, str]
 ) -> tuple[Table, dict[str, Sequence[Any]]]:
-    """Return the columns of numbers of a table, and those that no double holds; arguments as in `playback`.
+    """Return a table's numeric columns, and the columns in `exact`; arguments are those of `playback`.
 
     Raises:
-        InputError: The file has faults; it lists all of them.
+        InputError: The file has faults, all of which the error lists.
     """
     columns = dict[str, Sequence[Any]]()
     with suppress(InputError):  # The other columns are then read, to list all faults.
@@ -177,7 +179,7 @@ def read_recording(
 
 
 def _whole_number(value: Any) -> int:
-    """Return an exact whole number; raise ValueError for anything else."""
+    """Return the integer that a value or text represents exactly; raise ValueError for other values."""
     if isinstance(value, int) or (isinstance(value, str) and WHOLE.fullmatch(value.strip())):
         return int(value)
     if not (number := float(value)).is_integer():
@@ -187,13 +189,13 @@ def _whole_number(value: Any) -> int:
 
 @dataclass(eq=False)
 class Recorded:
-    """A recorded signal: last value at or before a time; before the first time the first value.
+    """A recorded signal: the last value at or before a time, or the first value before the first time.
 
-    Of equal times, which are a jump, the last is that of the value from there on.
+    Rows with equal times are a jump; the last of these values applies from this time on.
 
     Attributes:
-        step: Length [s] of the steps of a run, for the comparison of times.
-        is_linear: Whether values between two rows lie on a line.
+        step: Communication step [s], by which equal times are recognized.
+        is_linear: True if values are interpolated linearly between rows.
     """
 
     times: Sequence[float]

@@ -1,8 +1,8 @@
 """Stepping loop in C (`stepping.c`) for systems of FMUs whose functions C can call: its structures, and its library.
 
-A `Slot` is an FMU (function pointers and instance loaded by FMPy) or values prepared for each point. A `Transfer` moves
-a value within a row of doubles through `Link`s: factors, noise and injected faults, each a function of the point and of
-previous values. The caller allocates everything. A step gives the same bytes as the same calls from Python.
+A `Slot` is an FMU (function pointers and instance loaded by FMPy) or a source with values computed beforehand. A
+`Transfer` copies a value within a row of doubles and applies links: factors, noise and injected faults. The caller
+allocates all memory. A step gives the same bits as the same calls from Python.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from cosim.fmi.native.compiler import CompilerFailed, NoCompiler, load_library
 
 SOURCE = Path(__file__).with_name("stepping.c")
 NEVER = -1
-IN_PYTHON = -1  # version of a slot
+IN_PYTHON = -1  # version of a slot whose component Python steps
 C_TYPES = {
     **{name: getattr(ctypes, f"c_{name}") for name in ("double", "int32", "int64", "uint64", "bool")},
     "size": ctypes.c_size_t,
@@ -29,23 +29,23 @@ C_TYPES = {
 }
 NAMES = ("double", "float", "int8", "uint8", "int16", "uint16", "int32", "uint32", "int64", "bool")
 TYPES = {getattr(ctypes, f"c_{name}"): number for number, name in enumerate(NAMES)}  # numbering of stepping.c
-BITS64, TEXT = len(NAMES), len(NAMES) + 1  # of values that no double holds
+BITS64, TEXT = len(NAMES), len(NAMES) + 1  # types of values that doubles cannot represent exactly
 
 
 class StopReason(IntEnum):
     """Reason for a return of the loop: its last step, or a need for Python.
 
-    STATUS: a call returned a status other than OK; NOT_FINITE: an output is not finite; UNFIT: an input does not fit
-    its type; NO_ITEM: a value is no item of the target enumeration; TERMINATED: an FMU ended the simulation; PAUSED:
-    the row of a point is complete but not stored; LATER: a second has passed, or Python is asked for; ASKED: Python
-    steps the present component
+    STATUS: a call returned a status other than OK; NOT_FINITE: an output is not finite; UNFIT: an input is outside its
+    type; NO_ITEM: a value is not an item of the target's enumeration; TERMINATED: an FMU ended the simulation; PAUSED:
+    the row of a point is complete but not stored; LATER: a second has passed, or Python has requested a return; ASKED:
+    Python must step the current component.
     """
 
     FINISHED, STATUS, NOT_FINITE, UNFIT, NO_ITEM, TERMINATED, PAUSED, LATER, ASKED = range(9)
 
 
 class LinkKind(IntEnum):
-    """Effect of a link on a value v at point k; all but the first two and the last act only from `first` to `last`.
+    """Effect of a link on a value v at point k; all but AFFINE, ADDED and ITEMS only from point `first` to `last`.
 
     v·a + b, v + values[k], v + a, v·a, a, v + a where marks[k], v of `count` − 1 points before, the last v where
     marks[k], v if it is among `values`
@@ -55,13 +55,13 @@ class LinkKind(IntEnum):
 
 
 def _fields(declaration: str) -> list[tuple[str, Any]]:
-    """Return the fields of a structure from their declaration, written as in stepping.c."""
+    """Return the fields of a structure from their declaration in the syntax of stepping.c."""
     declarations = (part.split(maxsplit=1) for part in declaration.split(";"))
     return [(name, C_TYPES[kind]) for kind, names in declarations for name in names.split(", ")]
 
 
 class ConvertedLink(ctypes.Structure):
-    """Conversion of a value in transit; `keeping` keeps its buffers alive."""
+    """Effect of a connection on a value, for C; `keeping` references its buffers, so that they are not freed."""
 
     keeping: Any
 
@@ -69,24 +69,24 @@ class ConvertedLink(ctypes.Structure):
 
 
 class Cell(ctypes.Structure):
-    """Value that no double holds: 64 bits, or a text of which C has a copy."""
+    """A value that doubles cannot represent exactly: 64 bits, or a text that C copies."""
 
     _fields_ = _fields("int64 is_text; uint64 bits; pointer text")
 
     def value(self, kind: FmiType) -> Any:
-        """Return the value of a type."""
+        """Return the value as an object of an FMI type."""
         if self.is_text:
             return ctypes.string_at(self.text).decode("utf-8", "replace")
         return kind.ctype(self.bits).value
 
     def set(self, kind: FmiType, value: Any) -> None:
-        """Set the value of a type, in the library of the loop."""
+        """Set the value, of an FMI type, by the loop's library."""
         encoded = kind.encode(value)
         library().put_cell(ctypes.byref(self), encoded if self.is_text else ctypes.byref(ctypes.c_uint64(encoded)))
 
 
 class Transfer(ctypes.Structure):
-    """Transfer between two places of the row, every so many points."""
+    """Copy of a value between two places of the row, every n-th point."""
 
     keeping: Any
 
@@ -94,9 +94,9 @@ class Transfer(ctypes.Structure):
 
 
 class Move(ctypes.Structure):
-    """Variables of a type, moved in a single call.
+    """Variables of one type that a single call sets or gets.
 
-    `row` is their place in the row; after a get the first `finite` values must be finite.
+    `row` is the index of the first one in the row. The first `finite` values of a get must be finite.
     """
 
     _fields_ = _fields(
@@ -108,9 +108,8 @@ class Move(ctypes.Structure):
 class Slot(ctypes.Structure):
     """Data of one stepped component for the loop in C.
 
-    The component is an FMU of FMI `version` 2 or 3; without `step` its outputs are read again. With version 0 it is a
-    source with `scalars` values prepared for each point, beginning at point `since`. Python steps one with version
-    `IN_PYTHON`.
+    `version` 2 or 3: an FMU of this FMI version; without `step`, only its outputs are read. `version` 0: a source with
+    `scalars` precomputed values per point, from point `since` on. `version` IN_PYTHON: Python steps the component.
     """
 
     keeping: Any
@@ -124,7 +123,7 @@ class Slot(ctypes.Structure):
 
 
 class Course(ctypes.Structure):
-    """Polynomial through the last values of inputs, `points` of them, the newest first."""
+    """Polynomial through the last `points` values of inputs, the newest first, for extrapolation."""
 
     keeping: Any
 
@@ -142,7 +141,7 @@ class Plan(ctypes.Structure):
 
 
 class NotCompiled(Exception):
-    """Reason for a missing C loop."""
+    """The C loop is not available; the message says why."""
 
 
 def cores() -> int:
@@ -152,7 +151,7 @@ def cores() -> int:
 
 @cache
 def library() -> Any:
-    """Return the library of the loop from the cache; raise NotCompiled without a working compiler."""
+    """Return the compiled library of the loop; raise NotCompiled if it cannot be compiled."""
     try:
         loop = load_library(SOURCE.read_text(encoding="utf-8"))
         loop.run.argtypes, loop.run.restype = [ctypes.POINTER(Plan)], ctypes.c_int
@@ -167,7 +166,7 @@ def library() -> Any:
 
 
 def move(function: Any, exchange: Exchange, row: Row, cells: ctypes.Array[Cell]) -> Move:
-    """Return a get or set call for C."""
+    """Return the C structure of a set or get call."""
     kind, start, cell = exchange.kind, exchange.places.start, None
     references, count, values, scalars = exchange.arguments
     pointer, finite = ctypes.cast(function, c_void_p), exchange.finite
@@ -178,5 +177,5 @@ def move(function: Any, exchange: Exchange, row: Row, cells: ctypes.Array[Cell])
 
 
 def address_of(buffer: Any) -> int | None:
-    """Return the address of a buffer, which is referenced and not copied; None for an empty one."""
+    """Return the memory address of a buffer; None for an empty buffer."""
     return None if not buffer else ctypes.addressof(ctypes.c_char.from_buffer(buffer))

@@ -54,13 +54,13 @@ class Summary:
 
     Attributes:
         ways: Usable interfaces: co-simulation, model-exchange, scheduled-execution.
-        capabilities: Interface → flags and numbers set in the description.
-        runs_here: Whether a library for this machine exists. Sources (`c-code` among the platforms) can be compiled on
-            request.
+        capabilities: Interface → capability flags and numbers from the model description.
+        runs_here: True if the FMU has a library for this machine. Sources (`c-code` among the platforms) can be
+            compiled on request.
         experiment: Declared start, stop, step [s] and tolerance.
-        states: Names of continuous states; for FMI 1.0 the variables with a der(…).
+        states: Names of continuous states; for FMI 1.0, each variable x for which der(x) exists.
         state_count: Number of continuous states.
-        slips: Tolerated violations of FMI's schema.
+        slips: Violations of FMI's schema that cosim accepts.
     """
 
     file: str
@@ -109,7 +109,7 @@ def summaries(paths: Sequence[Path]) -> list[Summary]:
 
 
 def summary_of(path: Path, description: Any) -> Summary:
-    """Return the summary of a described FMU."""
+    """Return the summary of an FMU from its path and FMPy's model description."""
     platforms = platforms_of(path)
     capabilities: dict[str, dict[str, Any]] = {}
     for way, attribute in PARTS.items():
@@ -136,7 +136,7 @@ def summary_of(path: Path, description: Any) -> Summary:
 
 
 def experiment_of(description: Any) -> dict[str, float]:
-    """Return the numbers declared in the default experiment. Keys are start, stop, step [s] and tolerance."""
+    """Return the declared numbers of the default experiment: start, stop, step [s] and tolerance, if present."""
     attributes = {"start": "startTime", "stop": "stopTime", "step": "stepSize", "tolerance": "tolerance"}
     numbers = {}
     for key, attribute in attributes.items():
@@ -146,7 +146,7 @@ def experiment_of(description: Any) -> dict[str, float]:
 
 
 def platforms_of(path: Path) -> list[str]:
-    """Return platforms with a library; `c-code` for sources."""
+    """Return the platforms for which an FMU has a library, and `c-code` if it has sources."""
     with zipfile.ZipFile(path) as archive:
         return platforms_among(archive.namelist())
 

@@ -1,4 +1,4 @@
-"""Variables of an FMU: their places in and beside the row, and the transfer of their values by type.
+"""Variables of an FMU: their indices in and beside the row, and the transfer of values by type.
 
 The FMU reads and writes doubles in the row itself; all other types pass through a buffer.
 """
@@ -21,9 +21,9 @@ from cosim.fmi.fmi_types import Exchange, element_names, elements, input_aliases
 
 
 class FmuVariables(Component):
-    """A component that moves inputs, outputs and recorded variables of an FMU instance.
+    """A component that sets inputs, and gets outputs and recorded variables, of an FMU instance.
 
-    The order is: `list_variables`, `bind`, `look_up` for each new instance, then values.
+    Order of calls: `list_variables`, `bind`, `look_up` for each new instance, then methods for values.
 
     Attributes:
         fed: Connected inputs.
@@ -31,10 +31,10 @@ class FmuVariables(Component):
         read: Variables to read after each step: outputs, then recorded variables.
         inward: Variables to set: all inputs except unconnected optional ones.
         variables: All variables by name.
-        clock_inputs: Triggered clocks; their places, behind the inputs, hold the number of ticks.
-        clock_outputs: All other clocks, likewise behind the outputs.
-        watched: Last inputs of model exchange, because unchanged inputs cause no event.
-        readable: Whether outputs can be read.
+        clock_inputs: Triggered input clocks. The row contains their numbers of ticks after the inputs.
+        clock_outputs: All other clocks. The row contains their numbers of ticks after the outputs.
+        watched: Last inputs in model exchange, where unchanged inputs cause no event; otherwise None.
+        readable: True if outputs can be read.
     """
 
     instance: Instance
@@ -50,16 +50,16 @@ class FmuVariables(Component):
         part: Callable[[Any], Hashable] = lambda variable: None,
         clocks: tuple[tuple[Signal, ...], tuple[Signal, ...]] = ((), ()),
     ) -> None:
-        """List the variables to move, and their signals.
+        """Determine the variables to set and get, and their signals.
 
         Args:
-            part: Function of a variable; variables of different parts are moved by calls of their own.
+            part: Function of a variable. Variables with different results are set and read by separate calls.
             clocks: Signals of triggered input clocks, and of all other clocks.
         """
         description = self.instance.description
         self.clock_inputs, self.clock_outputs = clocks
         self.variables: dict[str, Any] = {}
-        for v in description.modelVariables:  # A name that stands twice means its first variable.
+        for v in description.modelVariables:  # if a name occurs twice, the first variable counts
             self.variables.setdefault(v.name, v)
         self._aliases = input_aliases(description)
         self.kinds = kinds_of(description.fmiVersion)
@@ -70,7 +70,7 @@ class FmuVariables(Component):
         left_out = {v.name for v in fed} | optional
 
         def exchanges(variables: Iterable[Any], outputs: Iterable[str] = ()) -> tuple[Exchange, ...]:
-            """Return an exchange per type, part and sign, doubles first."""
+            """Return one exchange per type, part and sign, doubles first."""
             groups: dict[tuple[Any, Hashable], list[Any]] = {}
             for variable in variables:
                 key = self.kinds[variable.type], (part(variable), is_negated(variable))
@@ -87,7 +87,7 @@ class FmuVariables(Component):
         self.exact_outputs = self._signals(self.read, beside=True)
 
     def _signals(self, exchanges: Iterable[Exchange], *, beside: bool) -> tuple[Signal, ...]:
-        """Return the signals in the row, or beside the row."""
+        """Return the signals stored in the row, or those stored beside it."""
         signals = []
         for v in (v for e in exchanges if e.kind.beside == beside for v in e.variables):
             unit, declared = unit_of(v), v.declaredType
@@ -123,7 +123,7 @@ class FmuVariables(Component):
                 place[False] += len(self.clock_inputs)
 
     def bind_nothing(self) -> None:
-        """Bind the signals to a private row."""
+        """Bind the signals to a row of this component's own."""
         self.bind((ctypes.c_double * max(1, len(self.inputs) + len(self.outputs)))(), 0)
 
     def look_up(self) -> None:
@@ -132,7 +132,7 @@ class FmuVariables(Component):
             exchange.set, exchange.get = self._function("Set", exchange), self._function("Get", exchange)
 
     def _function(self, verb: str, exchange: Exchange) -> partial[int]:
-        """Return a C function with its arguments, or one of FMPy for binary values."""
+        """Return a C function that sets or gets an exchange, with its arguments; for binary values, FMPy's method."""
         if exchange.kind.ctype is None:
             return partial(self._move_binary, verb, exchange)
         return self.instance.prepared(f"{verb}{exchange.kind.function}", *exchange.arguments)
@@ -145,13 +145,13 @@ class FmuVariables(Component):
         return 0
 
     def _judge(self, verb: str, exchange: Exchange, status: int, of: str = "") -> None:
-        """Handle a status other than OK."""
+        """Handle a status other than OK of a set or get call."""
         self.instance.judge(f"{self.instance.prefix}{verb}{exchange.kind.function}{of}", status)
 
     # -- all values --------------------------------------------------------------------------
 
     def put(self) -> None:
-        """Set the inputs of the FMU, or only the changed inputs if changes are watched."""
+        """Set the inputs of the FMU; in model exchange, only changed ones."""
         if self.watched is None:
             self.put_all()
             return
@@ -161,7 +161,7 @@ class FmuVariables(Component):
             self.instance.inputs_changed(self.put_all if has_changed else None)
 
     def put_all(self) -> None:
-        """Set all connected inputs, without an event."""
+        """Set all connected inputs, without causing an event."""
         for exchange in self.fed:
             self.put_in(exchange)
 
@@ -183,7 +183,7 @@ class FmuVariables(Component):
             self._raise_not_finite(exchange)
 
     def content(self, exchange: Exchange) -> list[Any]:
-        """Return the values of an exchange, from the row or beside it."""
+        """Return the values of an exchange, from the row or from the storage beside it."""
         values: list[Any] = self._target(exchange)[exchange.places]
         return values
 
@@ -208,21 +208,21 @@ class FmuVariables(Component):
             variable = self.variables[name]
             exchange = Exchange(self.kinds[variable.type], [variable])
             exchange.encode(value if isinstance(value, (list, tuple)) else [value] * exchange.count)
-            if status := self._function("Set", exchange)():  # FMPy's own setters drop the status.
+            if status := self._function("Set", exchange)():  # FMPy's setters do not return the status
                 self._judge("Set", exchange, status, f" of {name}")
 
     def show(self, values: Mapping[str, Any], *, readable: bool) -> None:
-        """Store the set values of inputs in the row, else their start values; FMUs need not let inputs be read.
+        """Store values set for inputs, or else their start values, in the row, because FMUs need not return inputs.
 
         Args:
-            readable: Whether inputs without a start value can be read.
+            readable: True if inputs without a start value can be read from the FMU.
         """
         values = self._with_aliases(values)
         for exchange in self.inward:
             try:
                 self._show(exchange, values)
                 continue
-            except (TypeError, ValueError):  # No start value, or none of its type.
+            except (TypeError, ValueError):  # there is no start value, or it has another type
                 pass
             if readable:
                 try:
@@ -234,19 +234,19 @@ class FmuVariables(Component):
             self._target(exchange)[exchange.places] = [exchange.kind.nothing] * exchange.count
 
     def _show(self, exchange: Exchange, values: Mapping[str, Any], default: Any = None) -> None:
-        """Store the values of variables by name, else their start values, else the default."""
+        """Store the values of variables in the row: from `values`, else the start value, else the default."""
         pairs = ((v, values.get(v.name, v.start)) for v in exchange.variables)
         self._target(exchange)[exchange.places] = [
             x for v, value in pairs for x in elements(exchange.kind, v, default if value is None else value)
         ]
 
     def show_outputs(self, exchanges: Sequence[Exchange]) -> None:
-        """Store the start values of variables that have no value until an event; without one, zero or no text."""
+        """Store start values, zero or empty text in the row for variables that have no value before an event."""
         for exchange in exchanges:
             self._show(exchange, {}, exchange.kind.nothing)
 
     def show_changes(self, values: Mapping[str, Any]) -> None:
-        """Store the values that an event has set for unconnected inputs in the row."""
+        """Store the values that an event of the scenario has set for unconnected inputs in the row."""
         values = self._with_aliases(values)
         for exchange in self.unfed:
             place = exchange.places.start
@@ -257,7 +257,7 @@ class FmuVariables(Component):
                 place = end
 
     def _with_aliases(self, values: Mapping[str, Any]) -> dict[str, Any]:
-        """Return values with those of the other inputs of their value references."""
+        """Return values, and the resulting values of other inputs with the same value references."""
         shown = dict(values)
         for name in values:
             kind = self.variables[name].type
@@ -283,7 +283,7 @@ class FmuVariables(Component):
     # -- moved by C ---------------------------------------------------------------------------
 
     def moves(self, cells: Any) -> tuple[list[Move], list[Move]] | None:
-        """Return C's calls to put and get values; None if there are binary values.
+        """Return C structures of the calls that set and get values; None if there are binary values.
 
         Args:
             cells: Values beside the row.
@@ -295,7 +295,7 @@ class FmuVariables(Component):
         return puts, gets
 
     def raise_error_of_move(self, reason: StopReason, slot: Slot) -> None:
-        """Raise the error of a transfer by C; warnings are only logged."""
+        """Raise the error of a set or get call in C; a warning is only logged."""
         if reason == StopReason.NOT_FINITE:
             self._raise_not_finite(self.read[slot.moving])
         elif reason == StopReason.UNFIT:

@@ -1,4 +1,4 @@
-"""The array types of the package, and the correlation of two signals over the lag, with missing values."""
+"""Array types of the package, and the correlation of two signals over their lag, with missing values."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ far_beyond = np.errstate(over="ignore", invalid="ignore")
 
 
 def correlation_at_lags(before: Array, after: Array, lags: int) -> Array:
-    """Return the correlation of `after` with `before`, for `before` shifted by −lags … lags rows."""
+    """Return the correlation of `before`(t) with `after`(t + k) for lags k = −`lags` … `lags` rows."""
     return correlation(*centre(before), *centre(after), lags)[0]
 
 
 def centre(values: Array) -> tuple[Array, Array]:
-    """Return centred values and a validity mask."""
+    """Return the values minus their mean, with 0 for missing ones, and 1 for each finite value, else 0."""
     finite = np.isfinite(values)
     mean = float(values[finite].mean()) if finite.any() else 0.0
     return np.where(finite, values - mean, 0.0), finite.astype(np.float64)

@@ -12,7 +12,7 @@ FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)  # no space on the disk or in t
 
 
 def is_full(error: object) -> bool:
-    """Return whether an error means "no space left"."""
+    """Return True if an error means that the disk or quota is full, or a file exceeds the allowed size."""
     return isinstance(error, OSError) and error.errno in FULL
 
 
@@ -22,7 +22,7 @@ def draft_of(path: Path) -> Iterator[Path]:
     path.parent.mkdir(parents=True, exist_ok=True)
     draft = path.with_name(f".{path.name}.{os.getpid()}")
     try:
-        draft.unlink(missing_ok=True)  # A link placed here by somebody else must not be followed.
+        draft.unlink(missing_ok=True)  # otherwise writing would follow a link that another user made here
         os.close(os.open(draft, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
         yield draft
         draft.replace(path)

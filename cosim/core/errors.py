@@ -1,4 +1,4 @@
-"""All errors of the package as one tree; each class carries its exit code."""
+"""All errors of the package as one tree; each class has the exit code of the command that fails with it."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from cosim.core.messages import printable
 
 @dataclass(frozen=True, order=True)
 class Fault:
-    """A fault in a file: place, and message with the cure. Line and column count from 1; 0 means unknown."""
+    """A fault in a file: its place, and a message with the cure. Line and column count from 1; 0 means unknown."""
 
     file: Path
     line: int
@@ -35,7 +35,7 @@ class CosimError(Exception):
         return printable(super().__str__())
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return type(self).__new__, (type(self), *self.args), self.__dict__  # whatever the arguments of the class
+        return type(self).__new__, (type(self), *self.args), self.__dict__  # independent of the arguments of the class
 
 
 def _message_only(error: CosimError) -> list[str]:
@@ -54,12 +54,12 @@ class InputError(CosimError):
 
     @classmethod
     def at(cls, file: Path, message: str, exit_code: int = 2) -> InputError:
-        """Return an InputError with a single fault that concerns a file or folder as a whole."""
+        """Return an InputError with a single fault of a file or folder, without line and column."""
         return cls([Fault(file, 0, 0, message, exit_code)])
 
     @property
     def exit_code(self) -> int:  # type: ignore[override]
-        """Return 2 if any fault is the user's, else 3."""
+        """Return 2 (wrong input) if any fault has exit code 2, else 3 (invalid FMU)."""
         return min(fault.exit_code for fault in self.faults)
 
 
@@ -70,7 +70,7 @@ def refuse(faults: Iterable[Fault]) -> None:
 
 
 class NotExecuted(CosimError):
-    """A Python file was named in a place where cosim does not execute code."""
+    """A scenario or study names a Python file in a place where cosim does not execute code."""
 
     exit_code = 2
 
@@ -87,7 +87,7 @@ class FmuError(CosimError):
     exit_code = 3
 
     def fault(self, file: Path, name: Path | None = None) -> Fault:
-        """Return the error as a fault of a file.
+        """Return the error as a `Fault` of a file.
 
         The prefix `name` (default: the file's path) is removed from the message.
         """
@@ -155,7 +155,7 @@ class SweepFailed(CosimError):
 
 
 class Terminated(BaseException):
-    """A signal to end the process. The class is not an Exception, so handlers of FMU faults do not catch it."""
+    """A request by SIGTERM or SIGHUP to end the process; not an Exception, which handlers of FMU faults would catch."""
 
     exit_code = 4
 
@@ -168,7 +168,7 @@ class Terminated(BaseException):
 
 
 def stop_error(stop: BaseException, now: float, subject: str = "the run") -> SimulationError:
-    """Return the error of a run stopped at `now` [s]."""
+    """Return the SimulationError for a run that Ctrl-C or a signal stopped at time `now` [s]."""
     if isinstance(stop, SimulationError):
         return stop
     if isinstance(stop, KeyboardInterrupt):

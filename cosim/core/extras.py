@@ -43,7 +43,7 @@ def optional(module: str, place: str | Callable[[str], Fault]) -> Any:
 
 
 def check_installed(name: str, place: str) -> None:
-    """Raise InputError as `optional` does, without an import."""
+    """Raise InputError if an optional library is not installed, without importing the library."""
     if find_spec(name) is None:
         raise _missing(name, place)
 
@@ -62,5 +62,5 @@ def pandas_for_frames() -> Any:
 
 
 def install_command(extra: str) -> str:
-    """Return the installation command of an extra."""
+    """Return the command that installs an extra, such as `pip install "cosim[refine]"`."""
     return f"pip install '{DISTRIBUTION}[{extra}]'"

@@ -16,7 +16,7 @@ from cosim.core.arrays import Array
 
 
 def least_squares(matrix: Array, side: Array, rcond: float | None = None) -> Array:
-    """Return the least-squares solution of minimum norm."""
+    """Return the least-squares solution x of matrix·x = side with the smallest norm."""
     result = _result(lambda a, b: np.linalg.lstsq(a, b, rcond=rcond)[0], matrix, side)
     return np.zeros((matrix.shape[1], *side.shape[1:])) if result is None else result
 
@@ -28,7 +28,7 @@ def pseudo_inverse(matrix: Array) -> Array:
 
 
 def solution(matrix: Array, side: Array) -> Array:
-    """Return the solution of square equations; for a singular matrix, the least-squares solution."""
+    """Return the solution x of square equations matrix·x = side; for a singular matrix, the least-squares solution."""
     result = _result(np.linalg.solve, matrix, side)
     return least_squares(matrix, side) if result is None else result
 
@@ -40,7 +40,7 @@ def orthonormal(columns: Array) -> Array:
 
 
 def square_roots(covariances: Array) -> Array:
-    """Return L of each covariance, with L·L' = P; zero for a non-finite covariance."""
+    """Return a matrix L for each covariance matrix P, with L·Lᵀ = P; zeros for a non-finite P."""
     finite = np.isfinite(covariances).all(axis=(-2, -1), keepdims=True)
     values, vectors = np.linalg.eigh(np.where(finite, covariances, 0.0))
     return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0))[..., None, :])
@@ -53,7 +53,7 @@ def eigenvalues(matrix: Array) -> np.ndarray[tuple[int, ...], np.dtype[np.comple
 
 
 def _result(function: Callable[..., Any], *arrays: Array) -> Any:
-    """Return the result of a LAPACK function; None for non-finite arrays or without convergence."""
+    """Return the result of a LAPACK function; None if an array is non-finite or the algorithm does not converge."""
     if all(np.isfinite(array).all() for array in arrays):
         with suppress(np.linalg.LinAlgError):
             return np.asarray(function(*arrays))

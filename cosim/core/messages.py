@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import re
 
-# control characters but tab and line feed, marks that change the direction of text, and halves of surrogate pairs
+# control characters except tab and line feed, marks that change the direction of text, and unpaired surrogates
 UNPRINTABLE = re.compile("[\0-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069\ud800-\udfff]")
 
-# the same as escapes of JSON, or an escaped backslash
+# the same characters as JSON escapes, or an escaped backslash
 ESCAPED = re.compile(r"\\(\\|u(?:00[01][0-9a-f]|00[89][0-9a-f]|061c|200[ef]|202[89a-e]|206[6-9])|[bfr])")
 
 
 def printable(text: str, *, one_line: bool = False) -> str:
-    r"""Return a text in which every character that could control a terminal is an escape such as \u001b.
+    r"""Return a text in which escapes such as \u001b replace characters that could control a terminal.
 
     JSON keeps its meaning, because JSON strings use the same escapes.
 
@@ -41,10 +41,10 @@ class CheckNote(CheckWarning, Note):
 
 
 def with_severity(text: str) -> str:
-    """Return a message with its severity as prefix, `warning: ` or `note: `."""
+    """Return a message with the prefix `warning: ` or `note: `."""
     return f"{'note' if isinstance(text, Note) else 'warning'}: {text}"
 
 
 def with_prefix(prefix: str, text: str) -> str:
-    """Return a message with a prefix; its class, such as Note, is kept."""
+    """Return a message with a prefix, as an object of the same class, such as Note."""
     return type(text)(f"{prefix}{text}")

@@ -12,7 +12,7 @@ from typing import Any, ParamSpec, TypeVar
 
 P = ParamSpec("P")
 T = TypeVar("T")
-AFTER, EVERY = 1.0, 0.25  # [s] until the line appears, and between its changes
+AFTER, EVERY = 1.0, 0.25  # [s] from the start until the progress line appears, and between its updates
 WIDTH = 79  # characters of the line
 
 

@@ -1,4 +1,4 @@
-"""Process of a command: exit code 130 after Ctrl-C, even during imports, and 4 after SIGTERM or SIGHUP."""
+"""Process of a command. Ctrl-C ends the process with exit code 130, even during imports; SIGTERM and SIGHUP with 4."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ STOPPED = 130  # exit code: stopped from the keyboard
 
 
 def collect_seldom() -> None:
-    """Make garbage collection rare, because nearly all objects read from large files stay in use."""
+    """Make garbage collection rare: nearly all objects read from large files stay in use."""
     gc.set_threshold(500_000, 20, 100)
 
 
 @contextmanager
 def ending_at_once() -> Iterator[None]:
-    """Let Ctrl-C end the process without a traceback, for code that needs no cleanup."""
+    """Let Ctrl-C end the process at once without a traceback, in code that needs no cleanup."""
     listens = signal.getsignal(signal.SIGINT) is signal.default_int_handler  # A shell's background jobs ignore SIGINT.
     if listens:
         signal.signal(signal.SIGINT, lambda *_: os._exit(STOPPED))
@@ -32,7 +32,7 @@ def ending_at_once() -> Iterator[None]:
 
 
 def as_program(entry: Callable[[], None]) -> None:
-    """Call the entry function of this process, with its signals as KeyboardInterrupt and `Terminated`."""
+    """Call the main function of this process. Ctrl-C raises KeyboardInterrupt; SIGTERM and SIGHUP raise Terminated."""
     received: list[int] = []
 
     def terminate(number: int, frame: object) -> None:
@@ -42,15 +42,15 @@ def as_program(entry: Callable[[], None]) -> None:
 
     for name in ("SIGINT", "SIGTERM", "SIGHUP"):
         if number := getattr(signal, name, None):
-            atexit.register(signal.signal, number, signal.SIG_IGN)  # Python's own end would let it kill the process
-            if signal.getsignal(number) is signal.SIG_DFL:  # else nohup
+            atexit.register(signal.signal, number, signal.SIG_IGN)  # otherwise a signal could kill Python while it ends
+            if signal.getsignal(number) is signal.SIG_DFL:  # nohup ignores SIGHUP
                 signal.signal(number, terminate)
     try:
         entry()
-    except KeyboardInterrupt:  # during the report of the end
+    except KeyboardInterrupt:  # Ctrl-C while the error was printed
         sys.exit(STOPPED)
     finally:
-        gc.freeze()  # else the end of the process searches all objects, twice
+        gc.freeze()  # otherwise Python searches all objects twice when it ends
         received.append(0)
         if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
             signal.signal(signal.SIGINT, lambda *_: os._exit(STOPPED))

@@ -1,7 +1,7 @@
 """Registry of models, report pages, table formats, coupling algorithms and verbs of packages.
 
-Packages register through entry points, each naming an object of a class below. Objects are imported on first use, so
-a study of one model never loads another. docs/extending.md shows an example package.
+A package registers objects of the classes below through entry points. An object is imported on first use, so that a
+study of one model loads no other model. docs/extending.md shows an example package.
 """
 
 from __future__ import annotations
@@ -25,24 +25,24 @@ BASE = "base"  # model used by default
 
 
 class ExtensionWarning(UserWarning):
-    """A failed import of an object registered by an installed package."""
+    """An object that an installed package registers cannot be imported."""
 
 
 @dataclass(frozen=True)
 class ModelEntry:
-    """A named model and its related objects. Places are `module:object`, "" if absent.
+    """A model with a registered name, and its related objects. A place has the form `module:object`; "" if absent.
 
     Attributes:
-        name: Name of the model in files.
-        model: Place of its class.
-        recipe: Place of the function from parameter values to the recipe of its FMU.
-        built: File name → place of a recipe, for the FMUs of `cosim build` with the name of the model.
-        beside: File name → place of a recipe, for additional FMUs built with each model of this class.
-        native: Name → place of a function that builds an additional native FMU. It takes the designed start values of
-            `NAME.fmu`, if any.
+        name: Name of the model in studies and on the command line.
+        model: Place of the model's class.
+        recipe: Place of a function that returns the recipe of the model's FMU (`Recipe`) for given parameter values.
+        built: File name → place of a recipe, for each FMU that `cosim build --model NAME` builds.
+        beside: File name → place of a recipe, for additional FMUs that are built with every model of this class.
+        native: Name → place of a function that builds an additional native FMU. The function takes the designed start
+            values of `NAME.fmu`, if any.
         rig: Place of the class that runs experiments with the model.
-        design: Place of a function from (YAML file, model) to the designed start values of FMUs in `beside`, by file
-            name, and warnings: `cosim build --design`. "" for a model without controller.
+        design: Place of the function behind `cosim build --design`. It takes a YAML file and a model, and returns
+            warnings and, by file name, designed start values for FMUs in `beside`. "" for a model without controller.
     """
 
     name: str
@@ -57,10 +57,10 @@ class ModelEntry:
 
 @dataclass(frozen=True)
 class Page:
-    """A report page for runs with a component that has certain variables.
+    """A report page for every run that has a component with certain variables.
 
     Attributes:
-        variables: Names of the component's variables.
+        variables: Names of variables that the component must have.
         subject: Place of a function from (run, drawing) to a `ComponentPage`.
     """
 
@@ -70,7 +70,7 @@ class Page:
 
 @dataclass(frozen=True)
 class Verb:
-    """A verb of another package, declared like cosim's own verbs in `cosim.verbs`.
+    """A verb of another package, with the same entries as cosim's own verbs in `cosim.verbs`.
 
     Attributes:
         command: Place `module:object` of the function behind `cosim NAME`; its parameters are the command's options.
@@ -92,7 +92,7 @@ def models() -> dict[str, ModelEntry]:
 
 
 def model_entry(name: str = BASE) -> ModelEntry:
-    """Return a model by name; raise InputError if unknown."""
+    """Return a model by name; raise InputError if no model has the name."""
     entry = load(MODELS, name) if name in names(MODELS) else None
     if not isinstance(entry, ModelEntry):
         raise InputError.at(
@@ -107,19 +107,19 @@ def is_model(name: str) -> bool:
 
 
 def entry_of(kind: type) -> ModelEntry | None:
-    """Return the registry entry of a class or of its nearest registered ancestor."""
+    """Return the registry entry of a model's class or of its nearest registered base class."""
     places = (f"{parent.__module__}:{parent.__qualname__}" for parent in kind.__mro__)
     return next((e for place in places for e in models().values() if e.model == place), None)
 
 
 def page_for(components: Iterable[Collection[str]]) -> Page | None:
-    """Return the first registered page that matches one of the components, each given by its variable names."""
+    """Return the first registered page that fits one of the components, of which the variable names are given."""
     sets = [frozenset(variables) for variables in components]
     return next((page for _, page in registered(PAGES, Page) if any(map(page.variables.issubset, sets))), None)
 
 
 def registered(group: str, kind: type[T]) -> Iterator[tuple[str, T]]:
-    """Yield (name, object) for each object of a class that installed packages register in a group."""
+    """Yield name and object for each object of class `kind` that installed packages register in a group."""
     for name in names(group):
         if isinstance(found := load(group, name), kind):
             yield name, found
@@ -138,7 +138,7 @@ def load(group: str, name: str) -> Any:
         InputError: Two packages register the name.
     """
     points = _points_of_group(group)[name]
-    if len(points) > 1:  # A package listed twice on the path, e.g. also in its own source folder, repeats.
+    if len(points) > 1:  # Of a package that is on the path twice, each entry point appears twice.
         points = [*{(_owner(point), point.value): point for point in points}.values()]
     if len(points) > 1:
         owners = " and ".join(sorted(map(_owner, points)))
@@ -152,7 +152,7 @@ def load(group: str, name: str) -> Any:
 
 
 def resolve(place: str) -> Any:
-    """Return the object at `module:name`, imported now."""
+    """Import and return the object at `module:name`."""
     return pkgutil.resolve_name(place)
 
 

@@ -34,7 +34,7 @@ class ScratchFolder:
             fresh.rename(path / LOCK)
 
     def remove(self) -> None:
-        """Remove the folder, except in a fork."""
+        """Remove the folder, unless this process is a fork of the owner."""
         if self._lock is not None:
             os.close(self._lock)
             self._lock = None
@@ -43,7 +43,7 @@ class ScratchFolder:
 
 
 def scratch(prefix: str, beside: Path | None = None) -> ScratchFolder:
-    """Return a new locked folder in `beside`, by default in the system's temporary folder; remove abandoned ones."""
+    """Return a new locked folder in `beside` (default: the system's temporary folder), and remove abandoned folders."""
     sweep(beside or Path(tempfile.gettempdir()), prefix if beside else PREFIX)
     return ScratchFolder(Path(tempfile.mkdtemp(prefix=prefix, dir=beside)))
 
@@ -68,7 +68,7 @@ def temporary_folder(name: str) -> Iterator[Path]:
 
 
 def sweep(folder: Path, prefix: str) -> None:
-    """Remove this user's folders left by killed processes."""
+    """Remove folders of this user whose process was killed."""
     try:
         paths = [folder / name for name in os.listdir(folder) if name.startswith(prefix)]
     except OSError:  # The folder may be writable but not readable.
@@ -82,7 +82,7 @@ def sweep(folder: Path, prefix: str) -> None:
 
 
 def remove(folder: Path) -> None:
-    """Remove a folder. Removal is retried, because a dying process may still write into the folder."""
+    """Remove a folder; try again for a while, because a dying process may still write into the folder."""
     for _ in range(RETRIES):
         shutil.rmtree(folder, ignore_errors=True)
         if not folder.exists():
@@ -94,8 +94,8 @@ def lock_file(path: Path, *, create: bool = False) -> int | None:
     """Lock a file until its descriptor is closed.
 
     Returns:
-        The descriptor; None if another process holds the lock, or for anything but a plain file of this user. Pipes are
-        not waited for and links are not followed.
+        The descriptor; None if another process has locked the file, or if the path is not a plain file of this user. A
+        pipe does not block the call, and links are not followed.
     """
     flags = os.O_RDWR | (os.O_CREAT if create else 0)
     for name in ("O_NOFOLLOW", "O_NONBLOCK", "O_CLOEXEC"):

@@ -1,4 +1,4 @@
-"""Argument types of `cosim` functions, with a check by pydantic.
+"""Types of the arguments of `cosim` functions, which pydantic checks.
 
 Numbers of numpy become Python numbers, text with a unit becomes seconds. pydantic is imported at the first call.
 """
@@ -30,10 +30,10 @@ SHOWN = 60  # characters of a value in a message
 
 
 def of_python(value: Any) -> Any:
-    """Convert a number, text or array of another library to the Python type; raise ValueError if impossible."""
+    """Convert a number, text or array of another library to the Python type; raise ValueError for other values."""
     if hasattr(value, "tolist") and hasattr(value, "dtype"):
         value = value.tolist()
-    for kind in (bool, int, float):  # a subclass, e.g. an item of an enumeration or numpy's float64
+    for kind in (bool, int, float):  # also subclasses, e.g. an item of an enumeration or numpy's float64
         if isinstance(value, kind):
             value = kind(value)
             break
@@ -91,7 +91,7 @@ def _listed(value: Any) -> Any:
 
 @dataclass(frozen=True)
 class Converted:
-    """Annotation with a function that converts an argument before the check of pydantic; it may raise ValueError."""
+    """Annotation with a function that converts an argument before pydantic checks it; may raise ValueError."""
 
     by: Callable[[Any], Any]
 
@@ -117,14 +117,14 @@ Whole = Annotated[int, Ge(0)]
 Seed = Whole
 Port = Annotated[int, Ge(0), Le(65535)]
 Count = Annotated[int, Ge(1)]
-LATER = {  # types of rooms above, which modules of verbs import for type checkers only
+LATER = {  # types of higher rooms, which modules of verbs import for type checkers only
     "Signals": "cosim.simulation.run_signals:Signals",
     "Subject": "cosim.estimation.subject.interface:Subject",
 }
 
 
 def normalize_settings(values: Given | None) -> Given:
-    """Return settings as a mapping or a tuple of texts."""
+    """Return settings as a mapping name → value, or as a tuple of texts `name=value`."""
     return dict(values) if isinstance(values, Mapping) else tuple(_listed(values or ()))
 
 
@@ -141,7 +141,7 @@ def column_names(columns: Given | None) -> Sequence[str]:
 
 
 def check_arguments(function: Callable[P, T]) -> Callable[P, T]:
-    """Return the function with checked arguments. The check raises InputError with all invalid arguments."""
+    """Return the function with a check of its arguments, which raises InputError with all invalid arguments."""
     signature = inspect.signature(function)
     adapters: dict[str, Any] = {}
 
@@ -157,7 +157,7 @@ def check_arguments(function: Callable[P, T]) -> Callable[P, T]:
 
 
 def adapter(annotation: Any, function: Callable[..., Any], *, strict: bool = True) -> Any:
-    """Return pydantic's check for a parameter type; an unknown type accepts any value.
+    """Return pydantic's check for values of a type; a type that pydantic does not know accepts any value.
 
     Args:
         strict: Reject text as a number. The command line accepts text.
@@ -177,7 +177,7 @@ def adapter(annotation: Any, function: Callable[..., Any], *, strict: bool = Tru
 def check_values(
     adapters: Mapping[str, Any], values: Mapping[str, Any], labels: Mapping[str, str] | None = None
 ) -> dict[str, Any]:
-    """Convert values to their types; raise InputError with every invalid value.
+    """Return the values converted to their types; raise InputError that names every invalid value.
 
     Args:
         labels: Parameter → name in messages, where the two differ.
@@ -198,7 +198,7 @@ def check_values(
 
 
 def reason_of(error: Any) -> str:
-    """Return pydantic's message without Python jargon."""
+    """Return pydantic's message in terms of files and options rather than of Python."""
     kind, context = error["type"], error.get("ctx") or {}
     if kind == "value_error":
         return str(context["error"])

@@ -64,12 +64,12 @@ def append_unit(number: str, unit: str) -> str:
 
 
 def is_difference(criterion: Mapping[str, Any]) -> bool:
-    """Return True if a criterion is a difference. All criteria are, except a peak without a target."""
+    """Return True if the value of a criterion is a difference, as for all criteria except a peak without a target."""
     return criterion.get("kind") != "peak" or bool(criterion.get("to"))
 
 
 def length(value: float) -> str:
-    """Return a distance [m] in a readable unit."""
+    """Return a distance [m] in mm, cm or m, whichever is most readable."""
     size = abs(value)
     if 0 < size < 1e-4:
         return "less than 0.1\u00a0mm"
@@ -84,7 +84,7 @@ def size(value: float, unit: str) -> str:
 
 
 def percent(share: float) -> str:
-    """Return a share (0 … 1) in percent. `0 %` and `100 %` appear only for exact values."""
+    """Return a share (0 … 1) in percent. Only exactly 0 and 1 appear as `0 %` and `100 %`."""
     if not math.isfinite(share):
         return MISSING
     if 0 < share < 0.005:
@@ -132,9 +132,9 @@ def split_sentence(text: str) -> tuple[str, str]:
 
 @contextmanager
 def showing(*records: Mapping[str, Any]) -> Iterator[None]:
-    """Show values in the display units of records, such as manifests, under the key `display`.
+    """Show values in the display units that records, such as manifests, have under the key `display`.
 
-    If records name different display units for a unit, that unit itself is shown.
+    A unit for which the records name different display units is shown unconverted.
     """
     found: dict[str, list[Any]] = {}
     for record in records:
@@ -158,7 +158,7 @@ def _is_display(entry: Any) -> bool:
 
 
 def display(unit: str) -> tuple[str, float]:
-    """Return the display unit of differences, and the factor to it: `°` and 57.3 for `rad` shown in `deg`.
+    """Return the display unit of differences and the factor to the display unit: `°` and 57.3 for `rad` shown in `deg`.
 
     Differences of temperatures stay in K.
     """
@@ -172,7 +172,7 @@ def shown_unit(unit: str) -> str:
 
 
 def displayed(values: Any, unit: str) -> Any:
-    """Convert values to the display unit of their unit."""
+    """Convert values from a unit to its display unit."""
     _, factor, offset = _display_units.get().get(unit, (unit, 1.0, 0.0))
     return values if factor == 1.0 and not offset else factor * values + offset
 
@@ -188,7 +188,7 @@ def written(unit: str, times: str = "·") -> str:
 
 
 def finer(unit: str, size: float) -> tuple[str, float]:
-    """Return a smaller unit, and its factor, in which a small error has readable digits."""
+    """Return a smaller unit in which a small error has readable digits, and the factor to the smaller unit."""
     if unit == "m" and size < 1.0:
         return "mm", 1000.0
     if unit == "m/s" and size < 0.05:
@@ -203,10 +203,10 @@ def as_yaml(value: Any) -> str:
 
 
 def closest(word: str, words: Iterable[str], similarity: float = 0.6) -> str:
-    """Return the closest of some words, or "".
+    """Return the most similar of some words; "" if none is similar enough.
 
     Args:
-        similarity: Required similarity; 1 means equal.
+        similarity: Least similarity; 1 means equal.
     """
     if len(word) > LONGEST_WORD:
         return ""

@@ -1,4 +1,4 @@
-"""Comparison of times: two times are equal within the rounding of doubles and a small share of a step."""
+"""Comparison of times. Two times are equal if they differ only by rounding or by a tiny share of a step."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ MOST = 1e18  # steps, more than any run has
 
 
 def rounding(t: float, step: float = 0.0) -> float:
-    """Return the tolerance [s] for times equal to t, where steps have the length `step` [s]."""
+    """Return the tolerance [s] within which a time equals t, for steps of length `step` [s]."""
     return ULPS * math.ulp(t) + SHARE * step
 
 
 def roundings(times: Array, step: float = 0.0) -> Array:
-    """Return `rounding` of many times."""
+    """Return the tolerance [s] of each of many times, as `rounding` does."""
     return ULPS * np.spacing(np.abs(times)) + SHARE * step
 
 
@@ -40,10 +40,10 @@ def difference(end: float, begin: float) -> float:
 
 
 def whole_steps(time: float, step: float) -> int:
-    """Return a time in steps, rounded, at least one."""
+    """Return the number of steps nearest to a time, at least 1."""
     return max(1, round(steps_in(time, step)))
 
 
 def steps_in(time: float, step: float) -> float:
-    """Return time/step, limited to ±MOST."""
+    """Return the number of steps in a time, limited to ±MOST; not necessarily a whole number."""
     return min(max(time / step, -MOST), MOST)

@@ -22,7 +22,7 @@ class Unit(NamedTuple):
 
     @property
     def is_coherent(self) -> bool:
-        """Return whether values in this unit are SI values."""
+        """Return True if values in this unit are SI values."""
         return self.factor == 1.0 and self.offset == 0.0
 
 
@@ -67,7 +67,7 @@ NO_DEFINITIONS: Mapping[str, Sequence[float]] = MappingProxyType({})
 AMBIGUOUS = "may be gram or standard gravity", "; write kg, or m/s2"  # of g
 STANDARD_GRAVITY = 9.80665  # [m/s²]
 DEGREES = 180.0 / math.pi  # per radian
-# of the FMUs of models: unit → display unit, factor and offset to its values
+# display units that the FMUs of models declare: unit → name of the display unit, factor and offset
 DISPLAY = {"rad": ("deg", DEGREES, 0.0), "rad/s": ("deg/s", DEGREES, 0.0)}
 
 
@@ -114,13 +114,13 @@ def parse(text: str) -> Unit | None:
 
 
 def definition_of(text: str) -> tuple[float, ...] | None:
-    """Return the SI exponents, factor and offset of a known unit."""
+    """Return the SI exponents, the factor and the offset of a unit; None for an unknown unit."""
     unit = parse(text)
     return None if unit is None else (*(float(unit.exponents.get(n, 0)) for n in SI), unit.factor, unit.offset)
 
 
 def is_as_known(text: str, definition: Sequence[float]) -> bool:
-    """Return True if a definition equals the known unit of that name, apart from rounding and rad in angles."""
+    """Return True if an FMU's definition of a unit equals the usual one, apart from rounding and from rad in angles."""
     known, rad = definition_of(text), SI.index("rad")
     pairs = () if known is None else zip(known, definition, strict=True)
     return known is not None and all(k == rad or math.isclose(x, y, rel_tol=1e-9) for k, (x, y) in enumerate(pairs))
@@ -140,11 +140,11 @@ class Conversion(NamedTuple):
 def conversion(
     written: str, wanted: str, *, difference: bool = False, definitions: Mapping[str, Sequence[float]] = NO_DEFINITIONS
 ) -> Conversion | None:
-    """Return the conversion between units of the same dimension.
+    """Return the conversion from the unit `written` to the unit `wanted`; None if they have different dimensions.
 
     Args:
-        difference: True for a difference, e.g. a standard deviation, a tolerance or a step. The offset of degC then
-            does not count.
+        difference: True for a difference, e.g. a standard deviation, a tolerance or a step. The offset of degC is then
+            ignored.
         definitions: Unit → exponents of `SI`, factor and offset, which take precedence over common units.
     """
     if not written or not wanted or written == wanted:
@@ -156,7 +156,7 @@ def conversion(
         for name in (written, wanted)
     )
     if written == "g" and there is not None and there.exponents == {"m": 1, "s": -2}:
-        return Conversion(STANDARD_GRAVITY / there.factor)  # of an accelerometer: standard gravity, never gram
+        return Conversion(STANDARD_GRAVITY / there.factor)  # g of an acceleration: standard gravity, not gram
     if here is None or there is None:
         return None
     if sorted((here.exponents, there.exponents), key=len) == [PER_TIME, ROTATION]:
@@ -189,7 +189,7 @@ def split_quantity(text: str) -> tuple[float, str] | None:
 
 
 def has_unit(text: str) -> bool:
-    """Return whether text is a number with a unit."""
+    """Return True if a text is a number with a unit."""
     quantity = split_quantity(text)
     return quantity is not None and quantity[1] != ""
 
@@ -207,7 +207,7 @@ def read_quantity(text: str, unit: str, *, difference: bool = False) -> float:
 
 
 def number_in(value: Any, unit: str, *, difference: bool = False) -> Any:
-    """Return the number of a text with a unit, other values unchanged; raise ValueError for a text without a unit."""
+    """Return a text with a unit as a number, other values unchanged; raise ValueError for a text without a unit."""
     if not isinstance(value, str):
         return value
     if not has_unit(value):
@@ -216,7 +216,7 @@ def number_in(value: Any, unit: str, *, difference: bool = False) -> Any:
 
 
 def allowed_quantity(unit: str, more: Iterable[str] = ()) -> str:
-    """Return a sentence that names the allowed forms of a number.
+    """Return a sentence that says how a number with this unit can be written.
 
     Args:
         more: Allowed units besides those of the dimension.
@@ -228,10 +228,10 @@ def allowed_quantity(unit: str, more: Iterable[str] = ()) -> str:
 
 
 class UnitAssumption(NamedTuple):
-    """The conversion of numbers in a written unit for a signal without a declared unit.
+    """Assumed conversion of the numbers of a signal that has a unit in a file but none in its model.
 
     Attributes:
-        unit: Unit after the conversion.
+        unit: Unit of the converted numbers.
         factor: Factor of the conversion.
         sentence: Note for the user; "" if the numbers stay unchanged and the unit is clear.
         offset: Offset added after the factor.
@@ -244,7 +244,7 @@ class UnitAssumption(NamedTuple):
 
 
 def assume_si(written: str, of: str = "the model", cure: str = "leave the unit out of the header") -> UnitAssumption:
-    """Return the conversion to SI for a signal without a declared unit.
+    """Return the conversion to SI units of numbers in the unit `written`, for a signal without a declared unit.
 
     For example, `rpm` is converted to rad/s. An unknown unit is not converted, nor is g (gram or 9.81 m/s²).
 
@@ -277,7 +277,7 @@ def coherent(written: str) -> str:
 
 
 def _unit_text(powers: Mapping[str, int]) -> str:
-    """Return the text of symbols with powers, "" without any."""
+    """Return the text of a unit from its symbols and their powers; "" for no symbols."""
 
     def side(sign: int, before: str) -> str:
         factors = ((n, sign * power) for n, power in powers.items() if n != "1" and sign * power > 0)
@@ -298,7 +298,7 @@ def unit_of_rate(unit: str) -> str:
 
 
 def unit_product(factors: Iterable[tuple[str, int]]) -> str:
-    """Return a product of powers of units, "" without dimension or with an unknown unit: `N.s/m` for N over m/s."""
+    """Return the unit of a product of powers of units; "" for a pure number or with an unknown unit."""
     product = Counter[str]()
     for unit, times in factors:
         words = _words(unit or "1")
@@ -310,7 +310,7 @@ def unit_product(factors: Iterable[tuple[str, int]]) -> str:
 
 
 def computed_in(displayed: str) -> tuple[str, float]:
-    """Return the SI unit behind a display unit, and the factor to it. For example rad for deg."""
+    """Return the SI unit of a display unit, and the factor from the display unit to SI. For example rad for deg."""
     for unit, (display, *_) in DISPLAY.items():
         if display == displayed:
             return unit, factor(displayed, unit) or 1.0

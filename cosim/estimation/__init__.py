@@ -1,1 +1,1 @@
-"""Maximum likelihood on measured logs: filter, noise, free parameters and score tests."""
+"""Maximum likelihood estimation on measured logs: Kalman filter, noise, free parameters and score tests."""

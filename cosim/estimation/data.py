@@ -1,4 +1,4 @@
-"""Logs as input of the filter: equal steps, measurements, the age of each reading, and properties of the readings."""
+"""Logs as input of the filter: equal steps, inputs, measurements with their ages, and properties of readings."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ from cosim.estimation.kernel.kernel import Data, Layout
 from cosim.estimation.subject.interface import Subject
 from cosim.logs.log import Log, slowness
 
-UNSCORED = 1.0  # [s] of each log in which the filter settles; see `count_unscored`
-STARTING = 0.2  # [s] within which a measurement counts as initial
-UNEVEN = 0.01  # share of a row, or of a quantisation step, from which times or values are not equally spaced
-NEAR = 4  # readings on each side for a slope
-REPEATED = 0.2  # share of different values below which readings are quantised
+UNSCORED = 1.0  # [s] at the start of each log in which the filter settles; see `count_unscored`
+STARTING = 0.2  # [s] from the start of a log within which a measurement counts as initial
+UNEVEN = 0.01  # share of a row, or of a quantisation step, above which times or values are not equidistant
+NEAR = 4  # readings on each side from which a slope is computed
+REPEATED = 0.2  # readings with a smaller share of different values are quantised
 
 
 def data_of(subject: Subject, log: Log, layout: Layout, interpolated: frozenset[str] = frozenset()) -> Data:
-    """Return a log in equal steps.
+    """Return a log in equal steps, as input of the filter.
 
-    In a missing row, the previous command continues and measurements are missing. States without process noise settle
-    in the rows that are not scored.
+    In a missing row, the last command continues and measurements are NaN. States without process noise settle in the
+    first rows, which do not count in the likelihood.
 
     Args:
         interpolated: Inputs interpolated between rows; others are held.
@@ -42,7 +42,7 @@ def data_of(subject: Subject, log: Log, layout: Layout, interpolated: frozenset[
     late = np.zeros_like(y)
     late[grid] = (grid - (log.time - log.time[0]) / log.step)[:, None]  # rows by which a reading is older than its row
     is_jittery = bool((np.abs(late) > UNEVEN).any())
-    if is_jittery:  # The mean over a step is exact if a command changes within it; the last command continues.
+    if is_jittery:  # The mean command is exact if a command changes within a step; the last one continues.
         edges, times = np.arange(rows + 1, dtype=np.float64), np.append((log.time - log.time[0]) / log.step, rows + 1)
         integral = np.cumsum(np.vstack([np.zeros(u.shape[1]), u[grid] * np.diff(times)[:, None]]), axis=0)
         u[:] = np.array([np.diff(np.interp(edges, times, column)) for column in integral.T]).reshape(u.T.shape).T
@@ -53,18 +53,18 @@ def data_of(subject: Subject, log: Log, layout: Layout, interpolated: frozenset[
 
 
 def count_unscored(data: Data) -> int:
-    """Return the number of rows before scoring, in which the filter settles."""
+    """Return the number of first rows that do not count in the likelihood, because the filter settles in them."""
     return round(UNSCORED * slowness(data.step) / data.step)
 
 
 def start_state(subject: Subject, data: Data, measured: Sequence[str], states: Sequence[str]) -> Array:
-    """Return the subject's start state, with initial measurements inserted."""
+    """Return the start state of a log: the subject's start values, replaced by initial measurements."""
     start = subject.start_of_log(first_measured(subject, data, measured))
     return np.array([start.get(name, 0.0) for name in states])
 
 
 def first_measured(subject: Subject, data: Data, measured: Sequence[str]) -> dict[str, float]:
-    """Return state → first measurement near the start."""
+    """Return state → first measurement of the state near the start of the log."""
     states, first = subject.measured_states, {}
     early = data.y[: round(STARTING * slowness(data.step) / data.step) + 1]
     for j, name in enumerate(measured):
@@ -93,7 +93,7 @@ class Readings:
     """Readings of one log, shape (rows, outputs).
 
     Attributes:
-        scored: True for readings in the likelihood.
+        scored: True for readings that count in the likelihood.
         slopes: Rate of change per row from neighbouring readings; 0 if unknown.
         resolution: Quantisation step of each output; 0 without quantisation.
         spread: Standard deviation of each output.
@@ -106,12 +106,12 @@ class Readings:
 
     @cached_property
     def places(self) -> Rows:
-        """Return the flat indices of scored readings."""
+        """Return the flat indices of the readings that count in the likelihood."""
         return np.flatnonzero(self.scored)
 
 
 def readings_of(data: Data) -> Readings:
-    """Return the readings of a log; its first rows do not count in the likelihood."""
+    """Return the readings of a log. The first rows, in which the filter settles, do not count in the likelihood."""
     y, scored = data.y, np.isfinite(data.y)
     scored[: count_unscored(data)] = False
     return Readings(
@@ -123,7 +123,7 @@ def readings_of(data: Data) -> Readings:
 
 
 def _slopes(column: Array) -> Array:
-    """Return the slope per row of a line through the nearest readings."""
+    """Return the slope per row, at each row, of a line through the nearest readings."""
     slopes = np.zeros(column.size)
     rows = np.flatnonzero(np.isfinite(column))
     if rows.size < 2 * NEAR + 1:
@@ -144,7 +144,7 @@ def _resolution(column: Array) -> float:
     steps = np.diff(values)
     least = float(np.median(steps[steps < 2.0 * steps.min()]))
     beside = np.abs(steps / least - np.rint(steps / least)) > UNEVEN
-    # Printed decimals are a grid too, so a resolution must repeat many values.
+    # Printed decimals form a grid, too, so in quantised readings many values must repeat.
     repeated = values.size < REPEATED * np.isfinite(column).sum()
     return least if repeated and float(np.mean(beside)) <= UNEVEN else 0.0
 
@@ -153,12 +153,12 @@ def _resolution(column: Array) -> float:
 
 
 def past_reading(sensor: Any, time: Array, values: Array, measured: Array | None = None) -> Array:
-    """Return the reading of a late or lagging sensor over time, NaN where it is unknown.
+    """Return the readings of a sensor with latency or lag over time; NaN where they are unknown.
 
     Args:
         sensor: Latency or lag with its value [s].
-        time, values: Output over time; values may begin with NaN.
-        measured: Measured readings; a lag goes on from the one before the first value, if there is one.
+        time, values: True output over time [s]; values may begin with NaN.
+        measured: Measured readings. A lag continues from the reading before the first value, if there is one.
     """
     if sensor.late:
         return np.asarray(np.interp(time - sensor.value, time, values, left=np.nan))
@@ -166,12 +166,12 @@ def past_reading(sensor: Any, time: Array, values: Array, measured: Array | None
 
 
 def replayed(time: Array, values: Array, constant: float, measured: Array) -> Array:
-    """Return the readings of a lagging sensor in a replay, which go on from the reading before the first value.
+    """Return the readings of a sensor with lag in a replay, which continue from the reading before the first value.
 
     Args:
         constant: Time constant [s].
-        values: Output over time, NaN up to the row where the replay starts.
-        measured: Measured readings; without one in this row, the sensor starts settled.
+        values: True output over time; NaN up to the row at which the replay starts.
+        measured: Measured readings. If there is none in this row, the sensor starts in equilibrium.
     """
     known = np.flatnonzero(np.isfinite(values))
     before = int(known[0]) - 1 if known.size else -1
@@ -185,10 +185,10 @@ def replayed(time: Array, values: Array, constant: float, measured: Array) -> Ar
 
 
 def lagged_table(outputs: Array, lags: Array | None, begin: Array | None = None) -> Array:
-    """Return the readings of simulated outputs, shape (rows, outputs), by sensors with lags.
+    """Return the readings of simulated outputs by sensors with lags, shape (rows, outputs).
 
     Args:
-        lags: Time constant of each sensor in rows; None without lags.
+        lags: Time constant of each sensor, in rows; None without lags.
         begin: Readings at the first row, NaN where missing; by default the outputs of that row.
     """
     if lags is None:
@@ -200,11 +200,11 @@ def lagged_table(outputs: Array, lags: Array | None, begin: Array | None = None)
 
 
 def lagged(time: Array, values: Array, constant: float, begin: float = math.nan) -> Array:
-    """Return the response of T·l̇ = y − l to an output that is straight from row to row.
+    """Return the response l of T·l̇ = y − l to an output y that is linear between rows.
 
     Args:
         constant: Time constant T [s].
-        begin: Reading at the first value; NaN for l = y.
+        begin: Reading l at the first value; NaN for l = y.
     """
     known = np.flatnonzero(np.isfinite(values))
     if constant <= 0.0 or known.size < 2:
@@ -214,7 +214,7 @@ def lagged(time: Array, values: Array, constant: float, begin: float = math.nan)
     for last, k in pairwise(known):
         rows = constant / (time[k] - time[last])
         fades = math.exp(-1.0 / rows)
-        slope = rows * (values[k] - values[last])  # what the reading finally falls behind
+        slope = rows * (values[k] - values[last])  # difference to the output that the reading approaches
         before = values[k] - slope + fades * (before - values[last] + slope)
         result[k] = before
     return result

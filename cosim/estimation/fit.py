@@ -1,7 +1,7 @@
 """Maximum likelihood on the innovations by Fisher scoring, with free process and sensor noise.
 
-Kristensen, Madsen and Jørgensen (2004): noise and parameters are estimated together. An inflated unknown input marks a
-deficient equation and decreases when the correct term is added.
+Noise and parameters are estimated together (Kristensen, Madsen and Jørgensen 2004). A large unknown input indicates a
+deficient equation; it decreases when the correct term is added.
 
     NLL = ½ Σ ln 2πs + e²/s    gradient Σ ∂e·e/s + ½ ∂ln s·(1 − e²/s)    information Σ ∂e·∂e'/s + ½ ∂ln s·∂ln s'
 """
@@ -23,23 +23,23 @@ from cosim.estimation.subject.candidates import Free, own, spread
 from cosim.logs.log import NORMAL_95
 
 ITERATIONS = 30
-CONVERGED = 0.1  # NLL improvement of the last iteration; an evidence needs no exact optimum
-DIFFERENCE = 0.01  # share of a parameter's size for differences; noise levels, in logarithms, need more
+CONVERGED = 0.1  # NLL improvement at which iterations end; hypotheses are compared without an exact optimum
+DIFFERENCE = 0.01  # step for differences, as a share of a parameter's size; logarithms of noise need more
 NOISE_DIFFERENCE = 5.0 * DIFFERENCE
-LEVELS = 9  # of the unknown inputs, compared before a fit
-DAMPING = 1e-3  # of the first step; it is multiplied and divided by
+LEVELS = 9  # levels of the unknown inputs that are compared before a fit
+DAMPING = 1e-3  # initial Levenberg damping, and the factor by which it changes
 BOLDER = 10.0
-FURTHEST = 1e4  # distance in sizes from which a plateau has no end
-PROMISE = 3.0  # factor on the improvement of the quadratic model before a fit is abandoned
+FURTHEST = 1e4  # distance, in parameter sizes, at which the search for the end of a flat likelihood stops
+PROMISE = 3.0  # factor on the predicted improvement; if even this does not suffice, a fit is abandoned
 
 
 @dataclass(frozen=True)
 class Fit:
-    """Result of a fit: parameter values, noise, NLL of all logs, and information matrix of free parameters and noise.
+    """Result of a fit: parameter values, noise, NLL of the logs, and information matrix of parameters and noise.
 
     Attributes:
-        scattered: Covariance of the free parameters by scatter over blocks of time.
-        regions: Parameter on which the likelihood does not depend near its estimate → limits of its 95 % region.
+        scattered: Covariance of the free parameters from the scatter of scores over blocks of time.
+        regions: Limits of the 95 % region of each parameter whose likelihood is flat near the estimate.
     """
 
     values: NamedValues
@@ -59,7 +59,7 @@ class Fit:
         return self.nll + self.penalty
 
     def marginal(self, names: Sequence[str]) -> Array:
-        """Return the marginal information of some parameters (Schur complement)."""
+        """Return the information matrix of some parameters, with all others estimated (Schur complement)."""
         F = self.information
         own = np.isin([f.name for f in self.free] + [""] * (len(F) - len(self.free)), names)
         shared = F[np.ix_(own, ~own)] @ inverse(F[np.ix_(~own, ~own)]) @ F[np.ix_(~own, own)]
@@ -71,10 +71,10 @@ class Fit:
         return self.regions.get(name, (value - half, value + half))
 
     def sigma(self, name: str, less: str = "") -> float:
-        """Return the standard deviation of an estimate; the larger of those from information and from scatter counts.
+        """Return the standard deviation of an estimate: the larger one from information matrix and from scatter.
 
         Args:
-            less: Parameter that is subtracted; "" for none.
+            less: Parameter whose value is subtracted from the estimate; "" for none.
         """
         names = [f.name for f in self.free]
         places, signs = [names.index(n) for n in (name, less) if n], np.array([1.0, -1.0])[: 2 if less else 1]
@@ -83,9 +83,9 @@ class Fit:
 
 
 def initial_fit(problem: Problem) -> Fit:
-    """Return the given model as an unfitted result.
+    """Return a `Fit` for the given model, without fitted parameters.
 
-    The unknown inputs start at the most likely of some levels: from too small a level, a fit moves parameters in place
+    The unknown inputs have the most likely of some levels. From too low a level, a fit would change parameters instead
     of the noise.
     """
     noise = problem.plain
@@ -99,7 +99,7 @@ def initial_fit(problem: Problem) -> Fit:
 def inverse(information: Array) -> Array:
     """Return the pseudo-inverse of an information matrix, computed in scaled parameters.
 
-    Without scaling, the least identifiable parameter would be dropped.
+    Without scaling, the least identifiable parameter would be treated as singular.
     """
     scale = np.sqrt(np.diag(information).clip(min=0.0))
     scale[scale == 0.0] = 1.0
@@ -123,8 +123,8 @@ def fit(
         start, noise: Start values of parameters and noise.
         only: Indices of the logs to fit; None for all.
         iterations: Largest number of iterations.
-        goal: Objective that the quadratic model must promise after the first iteration; otherwise the fit ends.
-        sensing: Also fit sensor noise and correlation time; otherwise only the power of the unknown inputs.
+        goal: Objective that the quadratic model must predict after the first iteration; otherwise the fit ends.
+        sensing: Also fit sensor noise and the correlation time of unknown inputs; otherwise only their power.
     """
     return _Scoring(problem, tuple(free), start, noise, only, sensing=sensing).run(iterations, goal)
 
@@ -134,8 +134,8 @@ class Slopes:
     """Errors and variances at a fit, with their derivatives by the free parameters and the free noise.
 
     Attributes:
-        errors: ∂e of each measurement, shape (parameters, measurements).
-        log_variances: ∂ln s, likewise.
+        errors: ∂e/∂θ of each measurement, shape (parameters, measurements).
+        log_variances: ∂ln s/∂θ, shape (parameters, measurements).
         information: Information matrix of parameters and noise, with the priors.
     """
 
@@ -146,23 +146,23 @@ class Slopes:
 
     @property
     def gradients(self) -> Array:
-        """Return the gradient of the NLL by measurement."""
+        """Return the gradient of each measurement's NLL by the parameters, shape (parameters, measurements)."""
         e, s = self.scored.errors, self.scored.variances
         return self.errors * (e / s) + 0.5 * self.log_variances * (1.0 - e * e / s)
 
 
 def slopes(problem: Problem, f: Fit) -> Slopes:
-    """Return the derivatives at a fit, from central differences within the limits."""
+    """Return errors, variances and their derivatives at a fit, by central differences within the limits."""
     scoring = _Scoring(problem, f.free, f.values, f.noise, None, sensing=True)
     scoring.scored = scoring._evaluate(scoring.theta)
-    de, dls = scoring.sensitivities(both=True)  # On a ridge, one-sided differences overestimate the sensitivity.
+    de, dls = scoring.sensitivities(both=True)  # on a ridge, one-sided differences overestimate the sensitivity
     _, information = scoring.derivatives(de, dls)
     size = scoring.size
     return Slopes(scoring.scored, de / size[:, None], dls / size[:, None], information / np.outer(size, size))
 
 
 class _Scoring:
-    """Fisher scoring with Levenberg damping; θ holds the free parameters, then the free noise."""
+    """Fisher scoring with Levenberg damping; the vector θ contains the free parameters, then the free noise."""
 
     def __init__(
         self,
@@ -178,7 +178,7 @@ class _Scoring:
         self.start = {**problem.values, **start}
         self.noise, limits = noise, problem.limits
         self.free_noise = limits.free if sensing else limits.free[limits.free < len(noise.power)]
-        priors = [f.prior or (0.0, np.inf) for f in free]  # of each number: mean and standard deviation
+        priors = [f.prior or (0.0, np.inf) for f in free]  # mean and standard deviation of each parameter
         priors += zip(limits.mean[self.free_noise], limits.sigma[self.free_noise], strict=True)
         self.mean, self.sigma = np.array(priors).reshape(-1, 2).T
         self.low = np.array([f.low for f in free] + [*limits.low[self.free_noise]])
@@ -195,13 +195,13 @@ class _Scoring:
         self.scored = self._evaluate(self.theta)
         done, converged, is_kept = 0, False, False
         information = np.zeros((len(self.theta),) * 2)
-        limit = iterations * int(np.isfinite(self.scored.nll))  # The filter may diverge at the start values.
+        limit = iterations * int(np.isfinite(self.scored.nll))  # zero if the filter diverges at the start values
         while done < limit and not converged:
             if not is_kept:
                 slopes = self.sensitivities()
             gradient, curvature = self.derivatives(*slopes)
             if not np.isfinite([*gradient, *curvature.flat]).all():
-                break  # The model diverges near this point, so no search direction exists.
+                break  # The filter diverges near this point, so there is no search direction.
             information = curvature
             before = self.scored.nll + self._penalty(self.theta)
             expected = 0.5 * float(gradient @ least_squares(information, gradient))
@@ -210,10 +210,10 @@ class _Scoring:
             damping = self.damping
             pace = self._move(gradient, information)
             if is_kept and not pace:
-                self.damping = damping  # the slopes are to blame
+                self.damping = damping  # new derivatives, not more damping, are needed
             enough = CONVERGED * self.problem.scatter
             converged = pace < enough and not is_kept
-            is_kept = not is_kept and pace > max(enough, 0.5 * expected)  # where a step keeps its promise
+            is_kept = not is_kept and pace > max(enough, 0.5 * expected)  # if as predicted
             done += 1
         unscaled, penalty = information / np.outer(self.size, self.size), self._penalty(self.theta)
         return Fit(*self._unpack(self.theta), self.free, self.scored.nll, penalty, unscaled, done, converged)
@@ -225,7 +225,7 @@ class _Scoring:
         return {**self.start, **values}, self.noise.like(vector)
 
     def _within(self, theta: Array) -> Array:
-        """Return θ clipped to limits and order constraints."""
+        """Return θ clipped to limits, with parameters above their lower-bound parameters."""
         clipped: Array = np.clip(theta, self.low, self.high)
         for upper, lower in self.order:
             clipped[upper] = max(clipped[upper], clipped[lower])
@@ -242,7 +242,7 @@ class _Scoring:
     def sensitivities(self, *, both: bool = False) -> tuple[Array, Array]:
         """Return ∂e and ∂ln s by θ in units of the parameters' sizes.
 
-        Differences are one-sided, inwards at an upper limit.
+        Differences are one-sided, downwards at an upper limit.
 
         Args:
             both: Use central differences within the limits.
@@ -256,7 +256,7 @@ class _Scoring:
             back = h if both and self.low[i] <= self.theta[i] - h <= self.high[i] else 0.0
             ahead = self._evaluate(self.theta + h * unit)
             behind = self._evaluate(self.theta - back * unit) if back else self.scored
-            with np.errstate(invalid="ignore", divide="ignore", over="ignore"):  # A diverged filter gives NaN.
+            with np.errstate(invalid="ignore", divide="ignore", over="ignore"):  # a diverged filter gives NaN
                 de[i] = (ahead.errors - behind.errors) / (h + back) * self.size[i]
                 dls[i] = np.log(ahead.variances / behind.variances) / (h + back) * self.size[i]
 
@@ -266,7 +266,7 @@ class _Scoring:
     def derivatives(self, de: Array, dls: Array) -> tuple[Array, Array]:
         """Return the gradient ∂NLL/∂θ and the information matrix for scaled θ; both include the priors."""
         e, s = self.scored.errors, self.scored.variances
-        with np.errstate(over="ignore", invalid="ignore"):  # of a filter that diverges beside this point
+        with np.errstate(over="ignore", invalid="ignore"):  # the filter may diverge near this point
             gradient = de @ (e / s) + 0.5 * dls @ (1.0 - e * e / s)
             information = (de / s) @ de.T + 0.5 * dls @ dls.T
         weight = self.problem.scatter
@@ -295,19 +295,19 @@ class _Scoring:
         return 0.0
 
 
-# Parameters on which the likelihood does not depend near their estimates, such as a lag shorter than a row. A step of a
-# fit may end on such a plateau, where it has no slope. An estimate on a plateau has no information, and would have an
-# interval of width 0. Its region reaches as far as the likelihood is within its 95 % region (Venzon and Moolgavkar
-# 1988, Appl. Stat. 37:87), the other parameters fixed.
+# Parameters with a flat likelihood near their estimates, such as a lag shorter than a row. A fit may end where the
+# likelihood has no slope by the parameter. The estimate then has no information, and would have an interval of width 0.
+# The interval is therefore the region in which the likelihood is within its 95 % limit (Venzon and Moolgavkar 1988,
+# Appl. Stat. 37:87), with the other parameters fixed.
 
 
 def with_flat_directions(problem: Problem, f: Fit, scattered: Array) -> Fit:
-    """Return the fit with a region for each parameter on a plateau, and a variance that reaches as far.
+    """Return the fit with a region for each parameter with a flat likelihood, and a variance that covers it.
 
-    The region is no scatter about the estimate: a lag shorter than a row has an upper limit only.
+    The region need not be symmetric about the estimate: a lag shorter than a row has only an upper limit.
 
     Args:
-        scattered: Covariance of the free parameters by scatter over blocks of time.
+        scattered: Covariance of the free parameters from the scatter of scores over blocks of time.
     """
     scattered, regions = scattered.copy(), dict(f.regions)
     for k in [k for k, x in enumerate(f.free) if not f.information[k, k] > 0.0 and x.low < x.high]:
@@ -318,7 +318,7 @@ def with_flat_directions(problem: Problem, f: Fit, scattered: Array) -> Fit:
 
 
 def _end_of_plateau(problem: Problem, f: Fit, x: Free, limit: float) -> float:
-    """Return the value towards a limit at which the NLL has risen by ½·1.96²; the limit if it never does."""
+    """Return the value towards a limit at which the NLL has risen by ½·1.96², or the limit if there is none."""
     start = f.values[x.name]
     furthest = float(np.clip(limit, start - FURTHEST * x.size, start + FURTHEST * x.size))
 
@@ -331,18 +331,18 @@ def _end_of_plateau(problem: Problem, f: Fit, x: Free, limit: float) -> float:
     return float(brentq(rise, start, furthest, rtol=DIFFERENCE))
 
 
-# Expected values, for groups without an estimate, such as those of held-out and sealed logs
+# Expected parameter values of groups of logs without an estimate, such as groups of held-out and sealed logs
 
 
 def expected_values(f: Fit, besides: str = "") -> dict[str, tuple[float, float]]:
-    """Return parameter with a value per group → mean over groups, and spread for a new group.
+    """Return (mean over groups, spread for a new group) of each parameter with a value per group of logs.
 
     For estimates θ̂ of n groups with scatter s, the spread is t·s·√(1 + 1/n), with Student's t for few groups (95 % of
     both distributions agree); s is at least the uncertainty of the estimates. A single group has the spread of the
     prior.
 
     Args:
-        besides: Group to ignore.
+        besides: Group of logs to ignore.
     """
     from scipy.special import ndtr, stdtrit
 
@@ -361,13 +361,13 @@ def expected_values(f: Fit, besides: str = "") -> dict[str, tuple[float, float]]
 
 
 def _start_values(f: Fit, group: str) -> dict[str, float]:
-    """Return the means and spreads of the parameters of one group, predicted from the other groups."""
+    """Return the parameters of a group of logs, and their spreads, predicted from the other groups."""
     values = expected_values(f, group)
     return {key(n, group): v for n, pair in values.items() for key, v in zip((own, spread), pair, strict=True)}
 
 
 def fit_for_held_out(problem: Problem, f: Fit, index: int) -> Fit:
-    """Return a fit without a held-out log, completed by expected parameters if the log's group is unknown."""
+    """Return a fit, with expected parameters for a held-out log if the fit has none for the log's group."""
     if not problem.own:
         return f
     groups = [origin.group for origin in problem.origins]
@@ -377,7 +377,7 @@ def fit_for_held_out(problem: Problem, f: Fit, index: int) -> Fit:
 
 
 def group_values(f: Fit, groups: Iterable[str]) -> dict[str, float]:
-    """Return fitted or expected parameters of each group."""
+    """Return the fitted or, without an estimate, the expected parameters of each group of logs."""
     values: dict[str, float] = {}
     for group in dict.fromkeys(groups):
         if all(x.group != group for x in f.free):

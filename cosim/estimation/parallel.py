@@ -1,7 +1,7 @@
-"""Parallel work in threads; kernels release the interpreter lock, and a thread costs far less than a job of joblib.
+"""Parallel work in threads: kernels release the interpreter lock, and threads cost far less than jobs of joblib.
 
-Work may contain parallel work. An idle thread helps with the remaining items of any of it, so that the last and longest
-fit of a stage leaves no core idle.
+Work may itself start parallel work. An idle thread takes over remaining items of any parallel work, so that no core is
+idle during the last and longest fit of a stage.
 """
 
 from __future__ import annotations
@@ -19,26 +19,26 @@ Result = TypeVar("Result")
 
 CORES = min(2, os.cpu_count() or 1)
 _threads = ThreadPoolExecutor(CORES)
-_stops: ContextVar[tuple[Event, ...]] = ContextVar("stops", default=())  # of the calls for which a thread works
+_stops: ContextVar[tuple[Event, ...]] = ContextVar("stops", default=())  # events of a thread's calls
 
 
 class _Abandoned(BaseException):
-    """End of work that was stopped in another thread."""
+    """Raised in a thread whose work was cancelled by another thread."""
 
 
 def raise_if_cancelled() -> None:
-    """End the work of this thread if it was stopped from outside, as from the keyboard.
+    """End the work of this thread if it was cancelled, for example from the keyboard.
 
-    Long work without parallel parts calls this function now and then.
+    Long work without parallel parts calls this function regularly.
     """
     if any(stop.is_set() for stop in _stops.get()):
         raise _Abandoned
 
 
 def in_parallel(work: Callable[[Item], Result], items: Sequence[Item]) -> list[Result]:
-    """Return the results of `work` in the order of the items; after an error, no item is begun any more."""
+    """Return the results of `work` in the order of the items; after an error, no further item is started."""
     results: list[Any] = [None] * len(items)
-    numbers, stop = iter(range(len(items))), Event()  # shared by the threads
+    numbers, stop = iter(range(len(items))), Event()  # shared by all threads of this call
     outer = _stops.set((*_stops.get(), stop))
 
     def process() -> None:
@@ -56,7 +56,7 @@ def in_parallel(work: Callable[[Item], Result], items: Sequence[Item]) -> list[R
             helpers.append(_threads.submit(copy_context().run, process))
         process()
         for helper in helpers:
-            if not helper.cancel():  # one that has not begun would find nothing to do
+            if not helper.cancel():  # a helper that has not started would find nothing to do
                 helper.result()
     except BaseException as error:
         if not isinstance(error, Exception):

@@ -19,15 +19,15 @@ from cosim.estimation.subject.candidates import Free, own, spread_of_base, usual
 from cosim.estimation.subject.interface import Subject
 from cosim.logs.log import Log, slowness, surprise, white_noise
 
-MOST_DOUBLINGS = 8  # of the substeps of a fit
-FEW = 2  # steps of co-simulation between rows while a search ranks candidates
-SAME, ALIKE = 0.5, 1e-5  # allowed NLL change by fewer substeps, absolute and relative to the NLL of a wrong model
-NEAR = 10.0  # growth of a start error within a shortened horizon; a horizon is too long if this happens twice in it
-EXPONENTIAL = 5.0  # growth over the second half of a time, from which growth is exponential; quadratic growth has 4
+MOST_DOUBLINGS = 8  # doublings of the number of substeps in a fit
+FEW = 2  # co-simulation steps between rows while hypotheses are ranked
+SAME, ALIKE = 0.5, 1e-5  # NLL change allowed with fewer substeps, absolute and relative to a wrong model's
+NEAR = 10.0  # growth of a start error within a shortened horizon; horizons with its square are shortened
+EXPONENTIAL = 5.0  # growth over the second half of a time that indicates exponential growth; quadratic growth gives 4
 STARTS = 8  # simulations per log and state
-DISPLACEMENT = float(np.sqrt(np.finfo(float).eps))  # of a state, as a share of its standard deviation
+DISPLACEMENT = float(np.sqrt(np.finfo(float).eps))  # change of a state, as a share of its standard deviation
 NO_SETTINGS = Settings()
-USUAL_MEMORY = 0.15  # [s] default correlation time of an unknown input: more than a few rows
+USUAL_MEMORY = 0.15  # [s] default correlation time of an unknown input, longer than a few rows
 
 
 def build_problem(
@@ -40,15 +40,15 @@ def build_problem(
     """Return the fitting problem; outputs absent from a log are missing readings.
 
     Args:
-        unnamed: Include unnamed terms in the kernel.
-        noise: Standard deviations of outputs stated in the study.
+        unnamed: Include unmodelled dynamics (terms outside the catalogue) in the kernel.
+        noise: Output → standard deviation of its noise, as stated in the study.
     """
     logged = set().union(*(log.outputs for log in logs))
     measured = tuple(q.name for q in subject.outputs if q.name in logged)
     kernel = subject.kernel(measured, unnamed=unnamed, constant=settings.per_log)
     values = {**dict.fromkeys(kernel.layout.parameters, 0.0), **subject.values}
     values[MEMORY] = USUAL_MEMORY * max(slowness(log.step) for log in logs)
-    free = list[Free]()  # each parameter per log once per group of logs, with a prior around its value
+    free = list[Free]()  # each parameter with a value per log, once per group of logs, with a prior around its value
     for name in settings.per_log:
         p, value = subject.declared[name], values[name]
         share = settings.tolerance.get(name, p.tolerance)
@@ -73,7 +73,7 @@ def build_problem(
 
 
 def with_logs(subject: Subject, problem: Problem, logs: Sequence[Log]) -> Problem:
-    """Return the problem of a subject on other logs."""
+    """Return the fitting problem of a subject with other logs."""
     states, outputs, settings = problem.layout.states, problem.layout.outputs, problem.settings
     data = [data_of(subject, log, problem.layout, settings.interpolated) for log in logs]
     begins = []
@@ -88,15 +88,15 @@ def with_logs(subject: Subject, problem: Problem, logs: Sequence[Log]) -> Proble
 def start_covariance(subject: Subject, problem: Problem) -> Array:
     """Return the start covariance P0 of the stochastic states.
 
-    The variance of a state with initial measurements in every log is ten times the noise variance of the output, else
-    the subject's start variance. Without both, the variance is the squared range of the model's own run with the
-    commands, or 1.
+    If a state has an initial measurement in every log, its variance is ten times the noise variance of the output;
+    otherwise it is the subject's start variance. Without a start variance, it is the squared range of the state in a
+    simulation with the commands of the logs, or 1.
     """
     layout = problem.layout
     measured = _measured_at_start(subject, problem)
     variances = {n: WITHIN * v for n, v in zip(layout.outputs, problem.r.tolist(), strict=True) if n in measured}
     variances = {**subject.start_variance, **variances}
-    derived = {layout.states[k] for k in layout.carrying}  # from a constant, with the uncertainty of the constant
+    derived = {layout.states[k] for k in layout.carrying}  # states whose uncertainty comes from a constant state only
     known = DISTURBANCE, DEVIATION, EARLIER, CONSTANT
     names = [n for n in layout.uncertain if not n.startswith(known) and n not in derived]
     if not variances.keys() >= set(names):
@@ -106,7 +106,7 @@ def start_covariance(subject: Subject, problem: Problem) -> Array:
 
 
 def with_equations_trusted(subject: Subject, problem: Problem) -> Problem:
-    """Return the problem with exact equations: no unknown inputs, and free runs start from the first readings."""
+    """Return the problem without unknown inputs, as if equations were exact; free runs start from first readings."""
     P0 = problem.P0.copy()
     if math.isinf(subject.horizon):
         fixed = np.isin(problem.layout.uncertain, [*_measured_at_start(subject, problem)])
@@ -123,7 +123,8 @@ def _measured_at_start(subject: Subject, problem: Problem) -> set[str]:
 def _range(problem: Problem) -> Array:
     """Return the range of each state in a simulation of the logs, 0 for a state that does not change.
 
-    All ranges are 0 if the simulation leaves the measurements by more than their span, as for an unstable model.
+    All ranges are 0 if the simulation deviates from the measurements by more than their range, as for an unstable
+    model.
     """
     runs = [problem.simulate(problem.values, index) for index in range(len(problem.logs))]
     for log, run in zip(problem.logs, runs, strict=True):
@@ -136,12 +137,13 @@ def _range(problem: Problem) -> Array:
 
 
 def coarsen(problem: Problem, values: NamedValues | None = None) -> Problem:
-    """Return the problem with the fewest substeps that give the same likelihood.
+    """Return the problem with the fewest substeps that leave the likelihood unchanged.
 
     Args:
-        values: Parameter values to test with, by default the base model's. An active effect may need finer steps.
+        values: Parameter values for the test, by default those of the base model. An active effect may need more
+            substeps.
     """
-    if problem.layout.is_free_run:  # substeps matter to forces that follow the outputs, and to no model without them
+    if problem.layout.is_free_run:  # in a free run, substeps matter only to forces that depend on the outputs
         few = [replace(log, substeps=min(log.substeps, FEW)) for log in problem.logs]
         return replace(problem, logs=few) if values is None else problem
     noise, values = problem.plain, {**problem.values, **(values or {})}
@@ -155,9 +157,9 @@ def coarsen(problem: Problem, values: NamedValues | None = None) -> Problem:
 
 
 def with_finer_steps(problem: Problem, values: NamedValues, noise: Noise) -> Problem:
-    """Return the problem with as many substeps as the likelihood at a fit needs; the same problem if they suffice.
+    """Return the problem with enough substeps for the likelihood at fitted values; unchanged if they suffice.
 
-    A fit may leave the region in which the substeps of the given model integrate it exactly enough.
+    At fitted values, the substeps that suffice for the given model may be too long.
     """
     if problem.layout.is_free_run:
         return problem
@@ -174,10 +176,10 @@ def with_finer_steps(problem: Problem, values: NamedValues, noise: Noise) -> Pro
 def predictable_horizon(problem: Problem, horizon: float) -> float:
     """Return the horizon [s], shortened if errors of start states grow exponentially and more than hundredfold.
 
-    On an unstable or chaotic plant, a small error of the start state grows exponentially. Later predictions measure the
-    start, not the model. The growth is measured on the logs: the given model is simulated from filtered states and
-    from slightly different ones. The shortened horizon is the time of tenfold growth, the median over starts and
-    logs, with errors in standard deviations of each signal. Free runs are not shortened.
+    On an unstable or chaotic plant, a small error of the start state grows exponentially. Later predictions depend on
+    the start more than on the model. The growth is measured on the logs: the given model is simulated from filtered
+    states and from slightly different ones. The shortened horizon is the time in which errors, in standard deviations
+    of each signal, grow tenfold: the median over starts and logs. Free runs are not shortened.
     """
     layout, values, curves = problem.layout, problem.values, list[Array]()
     if layout.is_free_run or not layout.states:
@@ -209,7 +211,7 @@ def predictable_horizon(problem: Problem, horizon: float) -> float:
 def halve_log(problem: Problem) -> Problem:
     """Return the problem with its single log in two halves; the second half starts from the filtered state.
 
-    Free runs last the whole log, of which each half has its readings only.
+    Free runs always cover the whole log; each half then has only its own readings.
     """
     (log,), (x0,) = problem.logs, problem.x0
     half, reached = len(log.u) // 2, x0
@@ -222,7 +224,7 @@ def halve_log(problem: Problem) -> Problem:
         run = following.run(problem.values, following.plain, 0)
         reached = problem.drop_unknown_inputs(run.states[half])
         for origin in problem.origins:
-            # A start from a reading depends on the group's parameter value.
+            # A start from a reading depends on the parameter value of the group.
             first = halves[1].rows(0, 1)
             read, y = problem.simulate(problem.values, 0, reached, first).outputs[0], first.y[0]
             reached[list(origin.initial)] = np.where(np.isfinite(y), y, read)[list(origin.initial.values())]
@@ -230,27 +232,27 @@ def halve_log(problem: Problem) -> Problem:
     return replace(problem, logs=halves, readings=readings, x0=[x0, reached], origins=[*problem.origins] * 2)
 
 
-# Free runs: start states, which the first readings show in part only, and fits to more and more rows.
+# Free runs: start states, of which the first readings show only a part, and fits to more and more rows.
 #
-# A free run that has left the motion of a log does not show which parameters would keep it there: large unknown inputs
-# explain the rest of the log, and a fit ends in a local optimum. In the first rows it has not left the motion yet.
-#
+# A free run that has departed from the motion in a log does not show which parameters would avoid this: large unknown
+# inputs explain the rest of the log, and a fit ends in a local optimum. In the first rows, the free run is still near
+# the log.
 
 
-ENOUGH = 0.5  # decrease of the negative log-likelihood of a log by the last estimate
+ENOUGH = 0.5  # estimates end when the NLL of a log decreases by less than this
 
 
 def with_likely_starts(problem: Problem, values: NamedValues | None = None, noise: Noise | None = None) -> Problem:
-    """Return the problem with the start states of free runs that its logs make likely; others are unchanged.
+    """Return the problem with maximum-likelihood start states of free runs; other problems are unchanged.
 
-    The filter is linear in the start states; this is its Gauss-Newton iteration.
+    Method: Gauss-Newton iterations, in which the filter is linear in the start states.
 
     Args:
         values: Parameter values; None for those of the problem.
-        noise: Levels of noise; None for likely ones.
+        noise: Noise levels; None for the most likely ones.
     """
     given = {**problem.values, **(values or {})}
-    for _ in problem.layout.states if problem.layout.start_places else ():  # more often than it needs
+    for _ in problem.layout.states if problem.layout.start_places else ():  # more iterations than needed
         level = noise or initial_fit(problem).noise
         x0 = [_next(problem, given, level, k) for k in range(len(problem.logs))]
         if all(after is before for after, before in zip(x0, problem.x0, strict=True)):
@@ -260,12 +262,12 @@ def with_likely_starts(problem: Problem, values: NamedValues | None = None, nois
 
 
 def _next(problem: Problem, values: NamedValues, noise: Noise, index: int) -> Array:
-    """Return a likelier start of a log, the same array without one."""
+    """Return a more likely start state of a log; the same array if there is none."""
     places, x0 = problem.layout.start_places, problem.x0[index]
 
     def objective(x: Array) -> float:
         starts = [*problem.x0[:index], x, *problem.x0[index + 1 :]]
-        e, s = replace(problem, x0=starts).innovations(values, noise, index)  # of all rows, also those not scored
+        e, s = replace(problem, x0=starts).innovations(values, noise, index)  # of all rows
         with np.errstate(over="ignore", invalid="ignore"):
             nll = 0.5 * float(np.nansum(np.log(s) + e**2 / s))
         return nll if np.isfinite(nll) else np.inf
@@ -281,7 +283,7 @@ def _next(problem: Problem, values: NamedValues, noise: Noise, index: int) -> Ar
 def fit_growing(problem: Problem, free: Sequence[Free], start: NamedValues) -> Fit:
     """Return a fit to all rows.
 
-    It starts from the values of fits to fewer rows, with unknown inputs at a detectable level.
+    The fit starts from values of fits to fewer rows, with unknown inputs at a detectable level.
 
     Args:
         start: Start values of the parameters.
@@ -297,17 +299,17 @@ def fit_growing(problem: Problem, free: Sequence[Free], start: NamedValues) -> F
 # -- sensor noise in the logs, which may differ from the noise stated by the model -------------------
 
 
-OFF = 1.5  # ratio from which a level differs from the noise; accuracy is about 10 %
-STAMPS_ERR, WILD = 5.0, 9.0  # standard deviations of the test; limit on squared innovations
-SMOOTH = 0.3  # share of a channel's level that may come from motion between rows
+OFF = 1.5  # ratio of estimated to stated noise above which they differ; an estimate is accurate to about 10 %
+STAMPS_ERR, WILD = 5.0, 9.0  # standard deviations at which the test is positive; upper limit of squared innovations
+SMOOTH = 0.3  # share of a channel's noise level that may come from motion between rows
 
 
 def noise_levels(problem: Problem) -> tuple[dict[str, float], dict[str, float]]:
-    """Return output → noise standard deviation, where it can be estimated, and output → first guess of it.
+    """Return output → noise standard deviation, if it can be estimated; and output → first guess.
 
-    The level is the deviation of readings from four neighbours, which also contains fast motion. The model's own run
-    estimates the share of motion. For outputs with a large share, such as sensors slower than the motion, the guess is
-    the level of both together.
+    The level is the deviation of readings from four neighbours, which also contains fast motion. A simulation of the
+    model estimates the share of motion. If this share is large, as for sensors slower than the motion, the level is
+    only a first guess.
     """
     noise, both = {}, {}
     runs = [problem.simulate(problem.values, index).outputs for index in range(len(problem.logs))]
@@ -322,11 +324,11 @@ def noise_levels(problem: Problem) -> tuple[dict[str, float], dict[str, float]]:
 
 
 def erring_stamps(problem: Problem, at: Fit) -> Flags:
-    """Return outputs whose time stamps seem to have errors.
+    """Return True for each output whose time stamps seem to have errors.
 
-    Innovations then grow with the rate of change. The statistic is Rao's score test of a variance τ²·ẏ² at τ = 0:
-    Σ ½ ẏ²/s·(e²/s − 1) over √(Σ ½ (ẏ²/s)²). Such errors are independent from row to row; those of a wrong model are
-    not, so that ẏe/s must not be correlated with that of the next row.
+    Errors of time stamps cause innovations that grow with the rate of change ẏ. The statistic is Rao's score test of a
+    variance τ²·ẏ² at τ = 0: Σ ½ ẏ²/s·(e²/s − 1) over √(Σ ½ (ẏ²/s)²). Errors of time stamps are independent from row to
+    row, but innovations of a wrong model are not. Therefore ẏ·e/s of neighbouring rows must be uncorrelated.
     """
 
     def statistics(index: int) -> Array:
@@ -337,7 +339,7 @@ def erring_stamps(problem: Problem, at: Fit) -> Flags:
         with np.errstate(invalid="ignore"):
             share = np.where(readings.scored, speed**2 / s, 0.0)
             share = share - share.sum(axis=0) / np.maximum(1, readings.scored.sum(axis=0)) * readings.scored
-            squares = np.minimum(e**2 / s, WILD)  # a few outliers are no clock error
+            squares = np.minimum(e**2 / s, WILD)  # a few outliers are no sign of clock errors
             spread = np.where(readings.scored, squares - 1.0, 0.0)
             moved = np.where(readings.scored, np.copysign(np.sqrt(squares * speed**2 / s), speed * e), 0.0)
         neighbours = moved[1:] * moved[:-1]
@@ -352,7 +354,7 @@ def erring_stamps(problem: Problem, at: Fit) -> Flags:
 
 
 def noise_warnings(problem: Problem, noise: Noise, subject: Subject) -> tuple[str, ...]:
-    """Return warnings about estimated noise that differs from the stated noise or is not stated."""
+    """Return warnings about estimated noise that differs from the stated noise, or for which none is stated."""
     names, units = problem.layout.outputs, {q.name: written(q.unit) for q in subject.outputs}
     levels = dict(zip(names, np.exp(0.5 * noise.sensors).tolist(), strict=True))
     stated = {n: s for n, s, known in zip(names, np.sqrt(problem.r).tolist(), problem.stated, strict=True) if known}
@@ -380,7 +382,7 @@ def noise_warnings(problem: Problem, noise: Noise, subject: Subject) -> tuple[st
 
 
 def cell_warnings(problem: Problem, subject: Subject) -> tuple[str, ...]:
-    """Return a warning about sensors that read in cells."""
+    """Return a warning about quantised readings, if there are any."""
     finest = np.max([r.resolution for r in problem.readings], axis=0)
     units = {q.name: written(q.unit) for q in subject.outputs}
     pairs = zip(problem.layout.outputs, finest.tolist(), strict=True)

@@ -26,23 +26,23 @@ from cosim.estimation.kernel.kernel import (
 )
 from cosim.estimation.subject.candidates import Free, own, spread
 
-RANGE_ROWS = 500  # scored rows for the range of the process noise, the same of each log
-UNKNOWN = 1e-4  # share of a first guess of the noise below which no sensor lies
-LONGEST_MEMORY = 0.1  # share of a log
-WITHIN = 10.0  # factor between stated and actual noise: on the variance one standard deviation of the prior of its log
+RANGE_ROWS = 500  # rows of each log from which the range of the process noise is determined
+UNKNOWN = 1e-4  # lower limit of sensor noise, as a share of the first guess
+LONGEST_MEMORY = 0.1  # longest correlation time, as a share of a log
+WITHIN = 10.0  # factor between stated and actual noise variance: one standard deviation of the prior of its logarithm
 TINY = float(np.finfo(float).tiny)
-STEP = float(np.sqrt(np.finfo(float).eps))  # of differences, relative to max(1, value)
+STEP = float(np.sqrt(np.finfo(float).eps))  # step of differences, relative to max(1, value)
 
 
 @dataclass(frozen=True)
 class Settings:
-    """Settings of a study for its logs.
+    """Settings of a study that concern its logs.
 
     Attributes:
-        interpolated: Inputs interpolated between rows.
-        tolerance: Base parameter → relative tolerance, the half-width of the 95 % interval of its prior.
+        interpolated: Inputs that are interpolated between rows.
+        tolerance: Base parameter → relative tolerance: half-width of the 95 % interval of its prior.
         per_log: Parameters with a separate value for each group of logs.
-        groups: File of a log → group.
+        groups: File of a log → name of its group.
     """
 
     interpolated: frozenset[str] = frozenset()
@@ -53,7 +53,7 @@ class Settings:
 
 @dataclass(frozen=True)
 class Origin:
-    """Group of a log, and its states with an initial reading: index of the state → index of the output."""
+    """Group of a log, and states with an initial reading: index of the state → index of the output."""
 
     group: str
     initial: Mapping[int, int]
@@ -61,7 +61,7 @@ class Origin:
 
 @dataclass(frozen=True)
 class Scored:
-    """Errors and variances of the scored measurements of all logs in sequence, and their count by log.
+    """Innovations e and variances s of all measurements in the likelihood, log by log, and their count in each log.
 
     Attributes:
         rows: Row of each measurement in its log.
@@ -74,7 +74,7 @@ class Scored:
 
     @property
     def nll(self) -> float:
-        """Return ½ Σ (ln 2πs + e²/s); infinite for a diverged filter."""
+        """Return the negative log-likelihood ½ Σ (ln 2πs + e²/s); infinite for a diverged filter."""
         return sum(self.by_log)
 
     @property
@@ -90,7 +90,7 @@ class Scored:
         return tuple(v if np.isfinite(v) else np.inf for v in sums)
 
     def of_each_log(self, numbers: Any) -> list[Any]:
-        """Return values of all measurements split by log."""
+        """Return the values of all measurements as a list with one array per log."""
         return np.split(numbers, np.cumsum(self.counts)[:-1])
 
 
@@ -99,14 +99,14 @@ class Problem:
     """Logs, kernel and prior knowledge: start states, measurement variances, parameter values.
 
     Attributes:
-        readings: Scored readings, slopes and resolutions of each log.
-        r: Variance of each output.
-        shown: Variance of each output's noise that its readings show; 0 if unknown, None for all.
-        stated: True for each output with a stated variance.
-        adjusted: True for each output whose variance is free in a fit.
+        readings: Readings of each log, with slopes and resolutions.
+        r: Noise variance of each output.
+        shown: Noise variance of each output as estimated from its readings; 0 if unknown; None if not estimated.
+        stated: True for each output with a stated noise variance.
+        adjusted: True for each output whose noise variance is free in a fit.
         late, lagging: Latency parameter, and time constant of a sensor → indices of its outputs.
-        own: Free parameters of each group.
-        origins: Group and start of each log.
+        own: Free parameters with a value per group of logs.
+        origins: Group and initial readings of each log.
     """
 
     kernel: Kernel
@@ -123,11 +123,11 @@ class Problem:
     P0: Array = field(default_factory=lambda: np.empty((0, 0)))
     shown: Array | None = None
     sensing: Noise | None = None  # fitted sensor noise; None for stated noise
-    trusted: bool = False  # equations are trusted: no unknown input is free
-    scatter: float = 1.0  # scatter of estimates relative to a white residual; scales the priors
+    trusted: bool = False  # True if equations count as exact: no unknown input is free
+    scatter: float = 1.0  # scatter of estimates relative to white residuals; scales the priors
     own: tuple[Free, ...] = ()
     origins: Sequence[Origin] = ()
-    ranges: list[NoiseRange] = field(default_factory=list)  # of process noise; shared by problems made from this one
+    ranges: list[NoiseRange] = field(default_factory=list)  # of process noise; derived problems share it
 
     @property
     def layout(self) -> Layout:
@@ -136,26 +136,26 @@ class Problem:
 
     @property
     def samples(self) -> int:
-        """Return the number of scored measurements."""
+        """Return the number of measurements in the likelihood."""
         return int(sum(readings.scored.sum() for readings in self.readings))
 
     @property
     def noise(self) -> NoiseRange:
-        """Return the search range of process noise, that of the first problem which asks."""
+        """Return the search range of process noise; derived problems share the range of the first one."""
         if not self.ranges:
             found = self._noise_range()
             if self.layout.is_free_run:
-                # the error of a free run is as large as the motion, from row to row far more than the noise
+                # the error of a free run is as large as the motion, which from row to row far exceeds the noise
                 fastest = np.maximum(self._largest("spread") / self.values[MEMORY], TINY)
                 found = replace(found, largest=np.maximum(found.largest, 2.0 * np.log(fastest)))
             self.ranges.append(found)
         return self.ranges[0]
 
     def _noise_range(self) -> NoiseRange:
-        """Return the range of noise power to search.
+        """Return the range in which fits search the noise power.
 
-        The smallest level must be invisible at the longest memory too. Otherwise a fit with a longer memory would gain
-        from an unknown input that should be inactive.
+        The smallest level must have no visible effect even at the longest correlation time. Otherwise a fit with a
+        longer correlation time would gain from an unknown input that should be inactive.
         """
         short, count, finite = self._short(), len(self.layout.noisy), np.finfo(float)
         nothing = np.full(count, GRID[0])
@@ -163,7 +163,7 @@ class Problem:
         def levels(marks: Sequence[float], **memory: Any) -> Array:
             def logarithms(power: Array) -> Array:
                 variances = short.score(self.values, replace(short.at(power), **memory)).variances
-                return np.asarray(np.log(np.abs(variances)))  # rounding may give a negative variance
+                return np.asarray(np.log(np.abs(variances)))  # rounding may cause a negative variance
 
             least, found = logarithms(nothing), np.empty((len(marks), count))
             for k in range(count):
@@ -178,20 +178,20 @@ class Problem:
         return NoiseRange(np.minimum(smallest, quiet), quiet, plain, largest)
 
     def _largest(self, property: str) -> Array:
-        """Return a property of the readings of each output, the largest of all logs."""
+        """Return the largest value over all logs of a property of `Readings`, for each output."""
         return np.asarray(np.max([getattr(readings, property) for readings in self.readings], axis=0))
 
     def _short(self) -> Problem:
         """Return the problem on the first rows of the logs, to find the range of the noise.
 
-        If the filter diverges from a log, the model's own simulated outputs replace the measurements of all.
+        If the filter diverges from a log, simulated outputs of the model replace the measurements of all logs.
         """
         rows = count_unscored(self.logs[0]) + RANGE_ROWS // len(self.logs)
         short = replace(self.first_rows(rows), sensing=None)  # limits must not depend on fitted noise
         nothing = short.at(np.full(len(self.layout.noisy), GRID[0]))
 
         def follows(index: int) -> bool:
-            """Return True if the innovations of each output are smaller than its standard deviation."""
+            """Return True if the innovations of each output are smaller than the output's standard deviation."""
             errors, read = short.innovations(self.values, nothing, index)[0], short.logs[index].y
             with np.errstate(over="ignore", invalid="ignore"):
                 pairs = [(e[np.isfinite(y)], y[np.isfinite(y)]) for e, y in zip(errors.T, read.T, strict=True)]
@@ -199,7 +199,8 @@ class Problem:
 
         if all(map(follows, range(len(short.logs)))):
             return short
-        # A filter that has lost the measurements says nothing of its variances; on its own outputs it cannot.
+        # The variances of a filter that diverges from measurements are meaningless. With simulated outputs, it cannot
+        # diverge.
         runs = [
             np.where(np.isfinite(log.y), short.simulate(self.values, k).outputs, np.nan)
             for k, log in enumerate(short.logs)
@@ -207,7 +208,7 @@ class Problem:
         return replace(short, logs=[replace(log, y=y) for log, y in zip(short.logs, runs, strict=True)])
 
     def first_rows(self, rows: int) -> Problem:
-        """Return the problem with logs cut short."""
+        """Return the problem with only the first `rows` rows of each log."""
         logs = [log.rows(0, rows) for log in self.logs]
         return replace(self, logs=logs, readings=[*map(readings_of, logs)])
 
@@ -225,18 +226,18 @@ class Problem:
 
     @property
     def plain(self) -> Noise:
-        """Return the usual noise: unknown inputs at a detectable level, or at the smallest for trusted equations."""
+        """Return the usual noise: unknown inputs at a detectable level, at the smallest if equations are trusted."""
         return self.at(self.noise.smallest if self.trusted else self.noise.plain)
 
     @cached_property
     def limits(self) -> NoiseLimits:
-        """Return limits of the noise, with stated sensor noise as weak prior."""
+        """Return the limits of the noise in a fit, with stated sensor noise as weak prior."""
         now, steps = self.at(self.noise.plain), [d.step for d in self.logs]
         stated, decade = np.log(self.r), np.log(WITHIN)
         least = np.where(self.stated, 1.0 / WITHIN, UNKNOWN) ** 2 * np.exp(stated)
         low = np.log(np.maximum(least, self._largest("resolution") ** 2 / 12.0))
         high = np.maximum(np.log(np.maximum(self._largest("spread") ** 2, TINY)), stated + 2.0 * decade)
-        if self.layout.is_free_run and not self.trusted:  # errors of the model are for unknown inputs to explain
+        if self.layout.is_free_run and not self.trusted:  # unknown inputs must explain errors of the model
             most = np.log(np.maximum(self.r, 0.0 if self.shown is None else self.shown))
             low, high = np.maximum(low, stated - decade), np.minimum(high, most + decade)
         low, high = (np.where(self.adjusted, limit, stated) for limit in (np.minimum(low, high), high))
@@ -273,7 +274,7 @@ class Problem:
         return self.numbers(self.of_log(values, index))
 
     def of_log(self, values: NamedValues, index: int) -> NamedValues:
-        """Return the parameter values for a log, with those of its group."""
+        """Return the parameter values for a log, including values of its group."""
         return {**values, **{name: value for name, (value, _) in self._own(values, index).items()}}
 
     def start(self, values: NamedValues, index: int) -> tuple[Array, Array]:
@@ -306,7 +307,7 @@ class Problem:
         return x, factor[list(layout.stochastic)]
 
     def _own(self, values: NamedValues, index: int) -> dict[str, tuple[float, float]]:
-        """Return the parameters with a separate value per log: name → (value, standard deviation) for this log."""
+        """Return name → (value, standard deviation) in a log, for the parameters with a value per group of logs."""
         constants = {}
         for name in self.layout.constants:
             group = self.origins[index].group
@@ -315,7 +316,7 @@ class Problem:
         return constants
 
     def densities(self, noise: Noise) -> Array:
-        """Return the process noise density q of every stochastic state [unit²/s].
+        """Return the process noise density q of each stochastic state [unit²/s].
 
         An unknown input with variance σ² and correlation time T is driven by 2·σ²/T.
         """
@@ -324,13 +325,13 @@ class Problem:
         return q
 
     def in_rows(self, of: Mapping[str, Sequence[int]], values: NamedValues, index: int) -> dict[int, float]:
-        """Return output index → time of its sensor (`late` or `lagging`) in rows; empty if all are zero."""
+        """Return output index → latency or time constant of its sensor, in rows; empty if all are zero."""
         step, values = self.logs[index].step, self.of_log(values, index) if of else values
         rows = {k: values.get(name, self.values[name]) / step for name, places in of.items() for k in places}
         return rows if any(rows.values()) else {}
 
     def data(self, values: NamedValues, index: int) -> Data:
-        """Return a log with late readings moved to the rows of their measurement, and with the lags of its sensors.
+        """Return a log in which late readings are in the rows of their measurement, with the lags of sensors.
 
         Readings move by whole rows; the filter accounts for the remaining fraction.
         """
@@ -347,7 +348,7 @@ class Problem:
         return replace(data, y=y, late=older)
 
     def variances(self, noise: Noise, index: int) -> Array:
-        """Return the noise variance of each reading; errors of time stamps add to it where the signal changes fast."""
+        """Return the noise variance of each reading; errors of time stamps increase it where a signal changes fast."""
         r = np.exp(noise.sensors)
         if not np.isfinite(noise.timing).any():
             return r
@@ -378,7 +379,7 @@ class Problem:
     def filter_causally(
         self, data: Data, values: NamedValues, noise: Noise, index: int, rows: Sequence[int]
     ) -> Filtered:
-        """Filter given measurements with the inputs of a log; states in `rows` use only readings that have arrived.
+        """Filter measurements with the inputs of a log; states in `rows` use only readings that have arrived.
 
         A late reading arrives after the row of its measurement.
         """
@@ -393,20 +394,20 @@ class Problem:
         return replace(filtered, states=states)
 
     def innovations(self, values: NamedValues, noise: Noise, index: int) -> tuple[Array, Array]:
-        """Return innovations and variances of a log (rows, outputs)."""
+        """Return the innovations of a log and their variances, shape (rows, outputs)."""
         return self._aligned(self.run(values, noise, index, states=False), values, index)
 
     def _aligned(self, filtered: Filtered, values: NamedValues, index: int) -> tuple[Array, Array]:
-        """Return innovations and variances at the rows of the readings, not at those of their measurement."""
+        """Return innovations and variances at the rows in which readings arrive, not in which they are measured."""
         e, s = filtered.errors, filtered.variances
         for k, late in self.in_rows(self.late, values, index).items():
             e[:, k], s[:, k] = np.roll(e[:, k], round(late)), np.roll(s[:, k], round(late))
         return e, s
 
     def begin_replay(self, filtered: Filtered, row: int) -> Array:
-        """Return the filtered state at a row, to begin a replay: without unknown inputs.
+        """Return the filtered state at a row, without unknown inputs, to begin a replay.
 
-        Start states of a free run are those that all rows of the log tell.
+        Start states of a free run are estimated from all rows of the log.
         """
         state, places = filtered.states[row].copy(), self.layout.start_places
         state[places] = filtered.states[-1][places]
@@ -415,7 +416,7 @@ class Problem:
     def simulate(
         self, values: NamedValues, index: int, state: Array | None = None, data: Data | None = None
     ) -> Simulated:
-        """Return the noise-free response to a log's commands.
+        """Return a simulation without noise, with the commands of a log.
 
         Args:
             state: First state, by default the start state of the log.
@@ -428,18 +429,18 @@ class Problem:
     def simulate_from(
         self, values: NamedValues, index: int, points: tuple[Sequence[int], Any, Any], length: int = 1
     ) -> list[Simulated]:
-        """Simulate a few rows of a log from each of some rows; the results begin with that row.
+        """Simulate `length` rows of a log from each of some rows; each result begins with the start row.
 
         Args:
             points: Rows, with the state and the memory at each.
             length: Number of rows after the first.
         """
         log, p, delay = self.logs[index], self.parameters(values, index), self.layout.delay
-        at_once: Any = getattr(self.kernel, "simulate_from", None)  # which a kernel of another object may lack
+        at_once: Any = getattr(self.kernel, "simulate_from", None)  # kernels of other objects may lack this method
         if at_once:
             return list(at_once(log, p, points, length))
         runs = list[Simulated]()
-        back = 2 + math.ceil(p[delay] / log.step if delay >= 0 else 0.0)  # rows of commands that may still be delayed
+        back = 2 + math.ceil(p[delay] / log.step if delay >= 0 else 0.0)  # earlier rows that may act
         for row, state, memory in zip(*points, strict=True):
             k = min(row, back)
             run = self.kernel.simulate(log.rows(row - k, row + length + 1), p, state, memory, first=k)
@@ -447,7 +448,7 @@ class Problem:
         return runs
 
     def score(self, values: NamedValues, noise: Noise, only: Sequence[int] | None = None) -> Scored:
-        """Return innovations and variances of some logs, by default all, one after the other."""
+        """Return the innovations and variances of some logs (default: all), log after log."""
         errors, variances, rows = [], [], []
         chosen = range(len(self.logs)) if only is None else only
         inputs = [self._inputs(values, noise, k) for k in chosen]
@@ -462,9 +463,9 @@ class Problem:
 
 # Random quantities of a filter: the unknown input of each forced equation, and sensor noise.
 #
-# The range of an unknown input is measured by its effect on the innovations, so no constant here has a model's unit. An
-# input raises the innovation variance s. If the mean of ln s rises by less than SMALLEST, no log can show the input. At
-# PLAIN the input is plainly detected, and sensors still contribute.
+# The range of an unknown input is determined from its effect on the innovations, so that no constant here depends on
+# units of a model. An unknown input increases the innovation variance s. If the mean of ln s increases by less than
+# SMALLEST, no log can show the input. At PLAIN the input is clearly detectable, and sensors still contribute.
 #
 
 
@@ -480,7 +481,8 @@ class Noise:
         power: Variance of the unknown input of each forced equation [(unit of the state/s)²].
         memory: Correlation time of the unknown inputs [s].
         sensors: Variance of the noise of each output.
-        timing: Variance of the time stamp error of each output [s²], noise proportional to speed; −∞ for none.
+        timing: Variance of the time stamp error of each output [s²], which causes noise proportional to the rate of
+            change; −∞ for none.
     """
 
     power: Array
@@ -490,11 +492,11 @@ class Noise:
 
     @property
     def vector(self) -> Array:
-        """Return all values in one vector."""
+        """Return all values as one vector."""
         return np.concatenate([self.power, [self.memory], self.sensors, self.timing])
 
     def like(self, vector: Array) -> Self:
-        """Return noise of the same shapes from a vector."""
+        """Return a `Noise` of the same shapes from a vector."""
         n, m = len(self.power), len(self.sensors)
         power, memory, sensors, timing = np.split(vector, [n, n + 1, n + 1 + m])
         return type(self)(power, float(memory[0]), sensors, timing)
@@ -507,7 +509,7 @@ class Noise:
 
 @dataclass(frozen=True, eq=False)
 class NoiseRange:
-    """Log power of each unknown input at which ln s rises by SMALLEST to LARGEST, s being the innovation variance."""
+    """Log powers of each unknown input at which ln s (innovation variance s) increases by SMALLEST … LARGEST."""
 
     smallest: Array
     quiet: Array

@@ -1,8 +1,8 @@
-"""Rao's score test at a fit: predicted gain of further terms, jointly too, for one filter run per parameter.
+"""Rao's score test at a fit: predicted likelihood gain of further terms, by one filter run per parameter.
 
-Let r be the normalised innovations, their spread and priors, [e/√s; (1 − e²/s)/√2; (θ − μ)/σ], and X the sensitivities
-of r to the free parameters. Terms with sensitivities R promise ½·‖P·r‖², with P the projection on the part of R
-orthogonal to X. A part of the hypothesis is such a term too: without the part, r becomes r − R·(steps from neutral).
+Let r be the normalised innovations, variances and priors, [e/√s; (1 − e²/s)/√2; (θ − μ)/σ], and X the sensitivities of
+r to the free parameters. For terms with sensitivities R, the predicted gain is ½·‖P·r‖², where P projects on the part
+of R orthogonal to X. Removing a part of the hypothesis is predicted likewise: r becomes r − R·(steps from neutral).
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ from cosim.estimation.parallel import in_parallel
 from cosim.estimation.problem import Noise, Problem
 from cosim.estimation.subject.candidates import Candidate
 
-SHARE = 0.3  # share of an effect's usual size for its difference, since kinks may be away from neutral
-RANK = float(np.sqrt(np.finfo(float).eps))  # share of the residual, or of a singular value, that counts as none
+SHARE = 0.3  # step for differences, as a share of an effect's usual size, because kinks may be away from neutral
+RANK = float(np.sqrt(np.finfo(float).eps))  # share of the residual, or of a singular value, that counts as zero
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,10 +29,10 @@ class Terms:
     """Effect of a candidate on the innovations at a fit.
 
     Attributes:
-        rows: Change of the innovations by each term's step, without the part that free parameters can imitate.
+        rows: Change of the innovations by the step of each term, without the part that free parameters can reproduce.
         steps: Step of each parameter (column) for each term (row).
-        identifiable: Largest χ² of a term at the usual size.
-        switched: True if a tiny step already has a large effect, so that small steps are not informative.
+        identifiable: Largest χ² of a term at its usual size.
+        switched: True if even a tiny step has a large effect, so that small steps are not informative.
     """
 
     candidate: Candidate
@@ -61,7 +61,7 @@ class ScoreTest:
     """Score test with one filter run for each free parameter of a fit.
 
     Args:
-        parts: Candidates of the fit that the test may remove.
+        parts: Candidates in the fitted hypothesis, which the test may remove.
     """
 
     def __init__(self, problem: Problem, at: Fit, parts: Sequence[Candidate] = ()) -> None:
@@ -82,21 +82,21 @@ class ScoreTest:
             vector[k] += NOISE_DIFFERENCE
             moves.append(({}, self.noise.like(vector)))
         rows = in_parallel(lambda move: self._row(*move), moves)
-        self.basis = orthonormal(np.array(rows).reshape(len(moves), residual.size).T)  # whatever the sizes of the steps
+        self.basis = orthonormal(np.array(rows).reshape(len(moves), residual.size).T)  # for steps of any size
         self.residual = self._project(residual)
 
     def _project(self, row: Array) -> Array:
-        """Return the part of a row orthogonal to the effects of the free parameters."""
+        """Return the part of a row that is orthogonal to the effects of the free parameters."""
         return row - self.basis @ (self.basis.T @ row)
 
     def row(self, steps: NamedValues) -> Array:
-        """Return the change of the innovations by finite parameter steps, projected; zero if the model diverges."""
+        """Return the projected change of the innovations by parameter steps; zero if the model diverges."""
         with np.errstate(over="ignore", invalid="ignore"):
             row = self._project(self._row(steps, self.noise))
             return row if np.isfinite(row @ row) else np.zeros_like(row)
 
     def gain_without(self, rows: Sequence[Array], part: int) -> float:
-        """Return the predicted joint gain of terms without one log, or without a half of a single log."""
+        """Return the predicted joint gain of terms on all logs but one, or on half of a single log."""
         counts = self.scored.counts
         counts = counts if len(counts) > 1 else (counts[0] // 2, counts[0] - counts[0] // 2)
         of_part = np.repeat(np.arange(len(counts)), counts) == part
@@ -105,15 +105,15 @@ class ScoreTest:
         return 0.5 * float(np.sum((matrix @ least_squares(matrix, kept, rcond=RANK)) ** 2))
 
     def gain(self, rows: Sequence[Array]) -> tuple[float, Array]:
-        """Return the predicted joint gain of terms, and the optimal multiples of their steps."""
+        """Return the predicted joint gain of terms, and the optimal multiple of each term's step."""
         detected = np.array([r if r @ r > RANK**2 * (self.residual @ self.residual) else 0.0 * r for r in rows])
         multiples = -least_squares(detected.T, self.residual, rcond=RANK)
         fitted = detected.T @ multiples
         return 0.5 * float(fitted @ fitted), multiples
 
     def terms(self, c: Candidate) -> Terms:
-        """Return a candidate's terms: from neutral towards its usual size if inactive, else about the fitted values."""
-        if c.kind == "parameter" and c.parameters[0] in self.priors:  # on trial, it loses its prior
+        """Return a candidate's terms: steps from neutral to its usual size if inactive, else around fitted values."""
+        if c.kind == "parameter" and c.parameters[0] in self.priors:  # a parameter that is tested loses its prior
             row = np.zeros(self.residual.size)
             row[len(row) - len(self.priors) + self.priors[c.parameters[0]]] = 1.0
             return Terms(c, self._project(row)[None, :], np.zeros((1, 1)), np.inf)
@@ -123,16 +123,16 @@ class ScoreTest:
         is_absent = at_neutral and c.kind != "parameter" and bool(distances.any())
         if is_absent:
             steps = np.diag(SHARE * distances)[distances != 0.0]
-            if len(steps) > 1:  # joint and single
+            if len(steps) > 1:  # all parameters together, and each alone
                 steps = np.vstack([SHARE * distances, steps])
-        else:  # linear, each from a finite step of one parameter
+        else:  # linear terms, each a finite step of one parameter
             sizes = [SHARE / scale * f.size for f in c.free]
             over = [self.values[f.name] + size > f.high for f, size in zip(c.free, sizes, strict=True)]
             steps = np.diag(np.where(over, -1.0, 1.0) * sizes)
         rows = [scale * self.row(dict(zip(c.parameters, step, strict=True))) for step in steps]
         if is_absent:
             jump = self.row(dict(zip(c.parameters, DIFFERENCE * distances, strict=True)))
-            # detectable, and more than half of what the large step does
+            # detectable, and more than half of the effect of the large step
             switched = float(jump @ jump) > max(1.0, 0.5 * float(rows[0] @ rows[0]))
         innovations = [r[: len(self.scored.errors)] for r in rows]
         identifiable = max((float(r @ r) for r in innovations), default=0.0) / SHARE**2
@@ -149,10 +149,10 @@ class ScoreTest:
 
 
 class Choice:
-    """Predicted gain of any set of candidates at a fit, from the inner products of their terms.
+    """Predictions for any set of candidates at a fit, from inner products of their terms.
 
     Attributes:
-        parts: Names of the candidates of the fit.
+        parts: Names of the candidates in the fitted hypothesis.
         neutral: Parameter values without any candidate.
     """
 
@@ -169,9 +169,9 @@ class Choice:
         self.square = float(test.residual @ test.residual)
 
     def promise(self, names: Sequence[str]) -> Promise:
-        """Return the predicted gain of these candidates.
+        """Return the predicted result for a set of candidates.
 
-        The gain may be negative for a set that lacks a candidate of the fit. `within` tells if estimates are in limits.
+        The gain may be negative for a set without some candidate of the fitted hypothesis.
         """
         back = np.zeros(len(self.against))  # steps of the removed parts from fitted values to neutral
         for name in self.parts - {*names}:
@@ -179,7 +179,7 @@ class Choice:
             away = [self.neutral[n] - self.test.values[n] for n in t.candidate.parameters]
             back[self.places[name]] = np.divide(away, t.steps, out=0.0 * t.steps, where=t.steps != 0.0).sum(axis=1)
         places = [k for name in names for k in self.places[name]]
-        # r without the removed parts: r + R·back
+        # r without the removed parts is r + R·back
         against = self.against + self.products @ back
         square = self.square + 2.0 * float(self.against @ back) + float(back @ self.products @ back)
         G, b = self.products[np.ix_(places, places)], against[places]
@@ -206,6 +206,6 @@ class Choice:
         return Promise(0.5 * (self.square - remaining), values, within)
 
     def extensions(self, names: Sequence[str]) -> dict[str, Promise]:
-        """Return further candidate → prediction for these candidates with it, best first."""
+        """Return further candidate → prediction for the set extended by this candidate, best first."""
         promises = {n: self.promise([*names, n]) for n in self.terms if n not in names}
         return dict(sorted(promises.items(), key=lambda item: -item[1].gain))

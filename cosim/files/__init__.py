@@ -1,1 +1,1 @@
-"""YAML with places, tables, results, folders, archives and the cache."""
+"""YAML with line numbers, tables, results, folders, archives and the cache."""

@@ -39,25 +39,25 @@ DAMAGES = (zipfile.BadZipFile, zlib.error, EOFError, OSError, RuntimeError, Valu
 
 
 class BadArchive(ValueError):
-    """The reason why an archive is refused."""
+    """An archive that is refused, with the reason."""
 
 
 @dataclass(frozen=True)
 class Contents:
-    """Content of a kind of archive: required files, and files to parse by name or suffix."""
+    """Contents of a kind of archive: the required files, and which files are parsed, by name or suffix."""
 
     standard: str
     needed: str
     parsed: tuple[str, ...]
 
     def parses(self, name: str) -> bool:
-        """Return whether a file of the archive is parsed."""
+        """Return True if a file with this name is parsed."""
         return name in self.parsed or posixpath.splitext(name)[1].lower() in self.parsed
 
 
 FMU = Contents("FMI", DESCRIPTION, (DESCRIPTION, "sources/buildDescription.xml"))
 SSP = Contents("SSP", STRUCTURE, (STRUCTURE, ".ssd", ".ssv", ".ssm", ".ssb"))
-_SOUND: set[bytes] = set()  # digests of accepted XML, which is read several times
+_SOUND: set[bytes] = set()  # digests of accepted XML, because the same XML is read several times
 
 
 def check_archive(path: Path) -> None:
@@ -91,7 +91,7 @@ def unpack(path: Path, folder: Path, kind: Contents = FMU) -> None:
 
     Raises:
         BadArchive: Unpacking fails.
-        OSError: The disk lacks space; nothing has been written.
+        OSError: The disk has too little space; nothing was written.
     """
     with _checked(path, kind) as archive:
         folder.mkdir(parents=True, exist_ok=True)
@@ -104,7 +104,7 @@ def unpack(path: Path, folder: Path, kind: Contents = FMU) -> None:
 
 @contextmanager
 def _checked(path: Path, kind: Contents = FMU) -> Iterator[zipfile.ZipFile]:
-    """Yield an archive after its checks."""
+    """Yield an opened archive after all checks."""
     with path.open("rb") as stream:
         try:
             archive = zipfile.ZipFile(stream)

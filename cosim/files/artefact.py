@@ -1,8 +1,8 @@
 """Kinds of files and folders, each declared once in the room that reads or writes it.
 
 Declarations are `ARTEFACTS` of a room's module `artefacts`, or part of an installed package's `Verb`. They determine
-the kind of a file, the command that reads it, the verb that wrote a folder, the actions of `cosim check`, `cosim
-schema` and `cosim.read`, and the files that `--force` replaces.
+the kind of a file, the command that reads it, the verb that wrote a folder, the kinds that `cosim check`, `cosim
+schema` and `cosim.read` accept, and the files that `--force` replaces.
 """
 
 from __future__ import annotations
@@ -51,18 +51,18 @@ class Artefact:
         next_step: Advice, beginning with the command that reads the file; {file} is its path.
         keys: Alternative sets of keys that identify a YAML or JSON file.
         without: Keys absent from every file of this kind.
-        endings: Endings of file names, e.g. ".csv".
-        member: File in a ZIP archive.
+        endings: Endings of the names of its files, e.g. ".csv".
+        member: File that identifies a ZIP archive of this kind.
         beside: (file name, name of another file that must be in the same folder).
-        taken_as: Other kind as which files of this kind are also accepted.
+        taken_as: Another kind: where it is accepted, files of this kind are accepted too.
         verb: Command that writes the kind, e.g. "cosim refine".
-        marks: Files that only this verb writes into a folder, the most specific first.
-        unfinished: Files of results that were stopped before their first mark.
+        marks: Files that only this verb writes, the most specific first; they identify its folders.
+        unfinished: Files that identify a folder whose command was stopped before it wrote a mark.
         files: Names or patterns of further files written by the verb.
-        tables: Names, without ending, of row files in any format.
+        tables: Names, without ending, of files with rows, in any format of tables.
         folder: Noun phrase for the folder.
         folder_step: Advice for the folder; {file} is its path.
-        schema: Place, `module:name`, of the pydantic model of its keys; `schema_name` and `title` belong to the schema.
+        schema: Place, `module:name`, of the pydantic model of its keys; `schema_name` and `title` name the schema.
         check: Place of a function of (path, Checking) that returns notes and raises InputError with faults.
         reader: Place of a function of (folder) that returns the result of `cosim.read`, None for an incomplete folder.
     """
@@ -89,7 +89,7 @@ class Artefact:
     reader: str = ""
 
     def matched_keys(self, keys: Set[str]) -> int:
-        """Return the number of matched keys; 0 if the keys do not identify this kind."""
+        """Return how many of the keys that identify this kind a file has; 0 if some are missing or excluded."""
         if self.without & keys:
             return 0
         return max((len(needed) for needed in self.keys if needed <= keys), default=0)
@@ -109,14 +109,14 @@ class Artefact:
 
 @functools.cache
 def artefacts() -> tuple[Artefact, ...]:
-    """Return all declared kinds, installed packages first."""
+    """Return all declared kinds, those of installed packages first."""
     declared: list[Artefact] = []
     for name, verb in registered(VERBS, Verb):
         if verb.artefacts:
             declared += attempt(name, verb.artefacts) or ()
     for room in pkgutil.iter_modules([str(ROOMS)], "cosim."):
         module = f"{room.name}.{DECLARATIONS}"
-        if (ROOMS / room.name.partition(".")[2] / f"{DECLARATIONS}.py").is_file():  # A search would import the room.
+        if (ROOMS / room.name.partition(".")[2] / f"{DECLARATIONS}.py").is_file():  # find_spec would import the room
             declared += importlib.import_module(module).ARTEFACTS
     return tuple(declared)
 

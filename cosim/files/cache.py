@@ -25,7 +25,7 @@ VARIABLE = "XDG_CACHE_HOME"
 
 
 def cache_path(source: str, suffix: str) -> Path:
-    """Return the cache path for a source's derived file."""
+    """Return the path in the cache of a file that is derived from a source."""
     return cache_folder() / f"{hashlib.sha256(source.encode()).hexdigest()[:32]}{suffix}"
 
 
@@ -63,12 +63,12 @@ def cache_folder() -> Path:
 
 
 def cache_environment() -> Mapping[str, str]:
-    """Return environment variables that let a child process share this process's cache."""
+    """Return environment variables that let a child process use the cache of this process."""
     return {} if _user_folder(os.environ.get(VARIABLE, "")) else {VARIABLE: str(cache_folder().parent)}
 
 
 def load_or_make(source: str, make: Callable[[], Any]) -> Any:
-    """Return a JSON value from the cache; on a miss, call `make` and store its result.
+    """Return a JSON value from the cache; if the cache does not have it, call `make` and store the result.
 
     Args:
         source: Text that identifies the value, such as the code and options it is made from.
@@ -84,7 +84,7 @@ def load_or_make(source: str, make: Callable[[], Any]) -> Any:
 
 
 def fingerprint(packages: Iterable[str]) -> str:
-    """Return a hash of the code of packages and of sympy. Printed code depends on both."""
+    """Return a hash of the code of packages and of sympy, which both determine the printed C code."""
     import sympy
 
     files = (f for name in packages for f in sorted(Path(str(import_module(name).__file__)).parent.glob("*.py")))

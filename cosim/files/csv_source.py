@@ -1,4 +1,4 @@
-"""CSV files. pyarrow reads files of numbers; other files are read row by row, so that each fault has its place."""
+"""CSV files. pyarrow reads purely numeric files; other files are read row by row, so that each fault has a line."""
 
 from __future__ import annotations
 
@@ -69,12 +69,12 @@ class Csv(Source):
         return Table(columns, lines, line, faults, assumed)
 
     def column_names(self, path: Path) -> list[str]:
-        """Return the names in the header."""
+        """Return the column names in the header."""
         with open_bytes(path) as stream:
             return [split_heading(text)[0] for text in _header(stream)[0]]
 
     def write(self, path: Path, columns: Sequence[Column]) -> None:
-        """Write columns with exactly reproducible numbers."""
+        """Write columns; reading the file returns bitwise equal numbers."""
         is_numeric = all(isinstance(c.values, np.ndarray) and c.values.dtype.kind in "iuf" for c in columns)
         with atomic_write(path) as stream:
             csv.writer(stream, lineterminator="\n").writerow([column.name for column in columns])
@@ -91,7 +91,7 @@ CSV = Csv()
 
 
 def _header(stream: BinaryIO) -> tuple[list[str], int, str]:
-    """Return the cells of the first line with text, its number, and the separator of the cells."""
+    """Return the cells of the first line that is not empty, its number in the file, and the separator between cells."""
     text = io.TextIOWrapper(stream, encoding="utf-8-sig", errors="replace", newline="")
     reader = csv.reader(text)
     try:
@@ -114,7 +114,7 @@ def _header(stream: BinaryIO) -> tuple[list[str], int, str]:
 def _numbers(
     content: bytes, header: int, headings: Sequence[tuple[str, str]], mark: str, decimal: str
 ) -> list[Column] | None:
-    """Return numeric columns below the header line; None if the file must be read row by row."""
+    """Return the numeric columns of a file without its header; None if the file must be read row by row."""
     body = b"".join(content.split(b"\n", header)[header:])
     if not body.strip() or b'"' in body or body.count(b"\r") != body.count(b"\r\n"):
         return None
@@ -143,7 +143,7 @@ def _numbers(
 
 
 def cells_of(name: str, unit: str, cells: Sequence[str], is_text: bool) -> Column:
-    """Return a column of cells: integers, doubles, or texts if a cell is no number."""
+    """Return a column from the texts of its cells: as integers, as doubles, or as text if a cell is not a number."""
     numbers = [] if is_text else [number_of(cell) for cell in cells]
     if is_text or None in numbers:
         return Column(name, unit, list(cells))
@@ -162,11 +162,11 @@ def cells_of(name: str, unit: str, cells: Sequence[str], is_text: bool) -> Colum
 def _texts(
     path: Path, content: bytes, width: int, header: int, mark: str
 ) -> tuple[list[Fault], Sequence[Sequence[str]], Sequence[int]]:
-    """Return the faults, the cells of each column, and the line of each row. A row of another length is a fault.
+    """Return the faults, the cells of each column, and the line of each row; a row of another length is a fault.
 
     Args:
         width: Number of cells in the header.
-        header: Line of the header.
+        header: Line number of the header.
     """
     faults: list[Fault] = []
     misfits = list[tuple[int, int]]()  # lines and numbers of cells
@@ -210,10 +210,11 @@ def _texts(
 def write_table(
     path: Path, header: Sequence[str], rows: Iterable[Iterable[Any]], number: Callable[[Any], str] = repr
 ) -> None:
-    """Write a header and rows.
+    """Write a header and rows as CSV.
 
     Args:
-        number: Formats a cell; by default the shortest text that reads back bit for bit.
+        number: Function that formats a cell. The default, `repr`, writes the shortest text from which the same double
+            is read.
     """
     with atomic_write(path) as stream:
         csv.writer(stream, lineterminator="\n").writerow(header)
@@ -221,10 +222,10 @@ def write_table(
 
 
 def lines_of_numbers(columns: Sequence[Array]) -> str:
-    """Return lines of CSV with each number as `repr` writes it.
+    """Return lines of CSV with each number formatted as by `repr`.
 
-    pydantic writes JSON by the same shortest digits in a fifth of the time. It has other texts only for numbers with
-    an exponent and for infinity and NaN, which `repr` therefore writes.
+    pydantic formats numbers five times faster than `repr`. Its texts differ from those of `repr` only for numbers with
+    an exponent, infinity and NaN; these numbers are formatted by `repr`.
     """
     cells = [column.tolist() for column in columns]
     for column, texts in zip(columns, cells, strict=True):
@@ -237,7 +238,7 @@ def lines_of_numbers(columns: Sequence[Array]) -> str:
 
 
 def write_columns(path: Path, time: Array, columns: Mapping[str, Array], units: Mapping[str, str]) -> None:
-    """Write time and columns `name [unit]` as CSV with nine digits."""
+    """Write time and signals as CSV with headings `name [unit]` and nine significant digits."""
     header = ["time", *(f"{name} [{units[name]}]" for name in columns)]
     rows = zip(time.tolist(), *(c.tolist() for c in columns.values()), strict=True)
     write_table(path, header, rows, "{:.9g}".format)

@@ -1,4 +1,4 @@
-"""Text files written completely or not at all, stop signals, and checks of output folders."""
+"""Text files that are written completely or not at all, stop signals, and checks of output folders."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from cosim.core.settings import FilePath as FilePath
 
 NOT_BLANK = "give a name, or . for the current folder"
 STOPPING = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
-MOST_HOLES, SMALL = 1000, 1 << 26  # size per stored byte above which a file is sparse; [bytes] always read
+MOST_HOLES, SMALL = 1000, 1 << 26  # largest size per stored byte; smaller files [bytes] are always read
 READING = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)  # pipes are not waited for
 
 
@@ -33,8 +33,8 @@ def open_regular(path: Path) -> int:
     """Open a regular file for reading, and return its descriptor.
 
     Raises:
-        OSError: The file is unreadable, a pipe or device (which may block or never end), or consists almost only of
-            holes.
+        OSError: The file is unreadable, a pipe or device (which may block or never end), or a sparse file with almost
+            no stored bytes.
     """
     descriptor = os.open(path, READING)
     status = os.fstat(descriptor)
@@ -85,7 +85,7 @@ def write_json(path: Path, content: Any, *, indent: int = 2, allow_nan: bool = T
 
 @contextmanager
 def delay_stops() -> Iterator[None]:
-    """Delay stop signals to the end of the block."""
+    """Delay stop signals (Ctrl-C, SIGTERM) until the end of the block."""
     if threading.current_thread() is not threading.main_thread():  # Only the main thread receives signals.
         yield
         return
@@ -102,7 +102,7 @@ def delay_stops() -> Iterator[None]:
 
 @dataclass
 class _Stops:
-    """Stop signals of a verb: raised at once, or held until the end."""
+    """Handler of stop signals during a verb: raises them at once, or delays them."""
 
     handlers: dict[int, Callable[[int, FrameType | None], Any]]
     is_holding: bool = False
@@ -117,20 +117,20 @@ class _Stops:
             self.handlers[number](number, frame)
 
     def release(self) -> None:
-        """Raise the first held signal, unless a signal has already stopped the verb."""
+        """Raise the first delayed signal, unless a signal has already stopped the verb."""
         signals, self.signals = self.signals, []
         if signals and not self.is_stopped:
             signal.raise_signal(signals[0])
 
 
-_stops: list[_Stops] = []  # of the running verbs, the innermost last
+_stops: list[_Stops] = []  # handlers of the running verbs, the innermost last
 
 
 @contextmanager
 def one_stop() -> Iterator[None]:
-    """Let the first stop signal end the verb's work, and hold later signals.
+    """Let the first stop signal end the verb's work, and delay later signals until the block ends.
 
-    The verb can then write its results. Signals that are ignored or end the process by default are not changed.
+    The verb can thus write its results. A signal that is ignored or has its default handler is not changed.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
@@ -149,13 +149,13 @@ def one_stop() -> Iterator[None]:
 
 
 def hold_stops() -> None:
-    """Hold the first stop signal too, while results are written."""
+    """From now on delay also the first stop signal, while results are written."""
     if _stops and threading.current_thread() is threading.main_thread():
         _stops[-1].is_holding = True
 
 
 def release_stops() -> None:
-    """Raise a held signal, and let later signals stop the verb."""
+    """Raise a delayed signal, and let later signals stop the verb again."""
     if _stops and threading.current_thread() is threading.main_thread():
         _stops[-1].is_holding = False
         _stops[-1].release()
@@ -183,7 +183,7 @@ def named_path(out: FilePath) -> Path:
 
 
 def path_from_here(path: FilePath) -> Path:
-    """Return a path inside the current folder as a relative path, other paths unchanged."""
+    """Return a path inside the current folder relative to it; return other paths unchanged."""
     path = Path(path)
     return path.relative_to(Path.cwd()) if path.is_absolute() and path.is_relative_to(Path.cwd()) else path
 
@@ -196,7 +196,7 @@ def check_folder(folder: Path) -> None:
 
 
 def check_writable(folder: Path, names: Sequence[str], read: Iterable[Path] = ()) -> None:
-    """Make an output folder, and check that files can be written into it.
+    """Create an output folder, and check that files can be written into it.
 
     Args:
         names: Files to write.

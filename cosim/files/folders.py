@@ -1,7 +1,7 @@
 """Folders of results: every run is written once, to results/NAME/0001, 0002 and so on, or to a folder of the user.
 
-A folder that a command writes into has a file STARTED until the command ends, with its process. After `kill -9` the
-file remains, so that the folder is listed as interrupted.
+While a command writes into a folder, the folder has a file STARTED that names the process. `kill -9` leaves this file,
+so that `cosim list` shows the folder as interrupted.
 """
 
 from __future__ import annotations
@@ -24,14 +24,14 @@ from cosim.files.artefact import artefacts
 from cosim.files.files import FilePath, check_writable, delay_stops, named_path, open_regular, parse_json
 
 RESULTS = Path("results")
-NUMBERED = RESULTS / "NAME"  # default output folder: a new number in results/NAME, with a name chosen by the workflow
+NUMBERED = RESULTS / "NAME"  # default output folder: the next number in results/NAME; the verb chooses NAME
 RUN_NUMBER = re.compile(r"\d{4,15}")  # name of the folder of a run
 STARTED = "started.json"
 COMMAND, STATUS = "command", "status"  # keys of each record
 RUNNING, INTERRUPTED = "running", "interrupted"
-ELSEWHERE = "running or interrupted"  # on another machine, whose processes are unknown here
-REPLAY = "replay.json"  # stored with the rows of a replay
-SAME_BEGINNING = 5.0  # [s] by which the clock of the system may have been set since a process began
+ELSEWHERE = "running or interrupted"  # the process is on another machine and cannot be checked
+REPLAY = "replay.json"  # record of a replay, stored beside its rows
+SAME_BEGINNING = 5.0  # [s] tolerance of a process's start time, since the system's clock may have been corrected
 SCHEMA_VERSION = 1  # of manifest.json, replay.json and sweep.json
 MOST_BYTES = 200_000_000  # size of a JSON or YAML file [bytes]
 
@@ -40,7 +40,7 @@ MOST_BYTES = 200_000_000  # size of a JSON or YAML file [bytes]
 
 
 def name_of_file(path: Path, of: str = "") -> str:
-    """Return the name of results for a file.
+    """Return the NAME in results/NAME for results of a file.
 
     A file with a general name, e.g. results.csv, is named after its folder, or after the series of runs it belongs to.
     """
@@ -71,11 +71,12 @@ def name_of(model: str) -> str:
 def new_run(out: FilePath | None, name: str, verb: str, *, force: bool = False) -> Iterator[Path]:
     """Yield the folder that a command writes into: a new number in results/NAME, or `out`.
 
-    A folder that is empty at the end is removed. Inside another command with a folder of its own, nothing happens.
+    A folder that is empty at the end is removed. If a command calls another one with the same folder, the inner call
+    only yields the folder.
 
     Args:
-        verb: Such as `cosim run`.
-        force: Allow files in `out`.
+        verb: Command in messages, such as `cosim run`.
+        force: Accept an `out` that is not empty.
 
     Raises:
         InputError: `out` is not empty, cannot be written, or another command writes into it.
@@ -93,7 +94,7 @@ def new_run(out: FilePath | None, name: str, verb: str, *, force: bool = False) 
             check_writable(folder, ())
             if not force and any(not path.name.startswith(".") for path in folder.iterdir()):
                 raise InputError.at(folder, "is not empty; give another folder as --out, or add --force")
-            (folder / STARTED).unlink(missing_ok=True)  # of an interrupted command
+            (folder / STARTED).unlink(missing_ok=True)  # mark of an interrupted command
             about = {"pid": os.getpid(), "begun": psutil.Process().create_time(), "host": platform.node()}
             about |= {"schema_version": SCHEMA_VERSION, "cosim_version": __version__}
             about |= {COMMAND: verb, STATUS: INTERRUPTED}
@@ -120,7 +121,7 @@ def runs_named(name: str) -> Path:
 
 
 def _new_number(runs: Path) -> Path:
-    """Make and return the folder 0001, or the next free number, safe against parallel commands."""
+    """Create and return the folder 0001 or the next free number, safely beside parallel commands."""
     for attempts_left in reversed(range(1000)):
         try:
             runs.mkdir(parents=True, exist_ok=True)
@@ -128,7 +129,7 @@ def _new_number(runs: Path) -> Path:
             (folder := runs / f"{max(numbers, default=0) + 1:04d}").mkdir()
             return folder
         except OSError as error:
-            # Another command was faster, or just removed the empty folder.
+            # A parallel command created this number first, or has just removed its empty folder.
             if not (attempts_left and isinstance(error, (FileExistsError, FileNotFoundError))):
                 raise InputError.at(runs, f"cannot be the folder for results: {error.strerror}") from None
     raise AssertionError
@@ -137,12 +138,12 @@ def _new_number(runs: Path) -> Path:
 def remove_earlier(folder: Path, *, read: Iterable[Path] = ()) -> None:
     """Remove earlier results of cosim from a folder before writing again; files of the user stay.
 
-    The files are those declared by verbs whose marks are in the folder.
+    Removed are the declared files of each verb whose identifying files are in the folder.
 
     Args:
         read: Input files, and folders of them, which stay.
     """
-    from cosim.files.table import suffixes  # numpy, which `cosim list` does not need
+    from cosim.files.table import suffixes  # imports numpy, which `cosim list` does not need
 
     inputs = {path.resolve() for path in read}
     for artefact in artefacts():
@@ -159,15 +160,15 @@ def remove_earlier(folder: Path, *, read: Iterable[Path] = ()) -> None:
 
 
 def state_of(folder: Path) -> str:
-    """Return RUNNING, INTERRUPTED or ELSEWHERE for a folder with an unfinished command, else ""."""
+    """Return RUNNING, INTERRUPTED or ELSEWHERE for a folder whose command has not finished, else ""."""
     if not (folder / STARTED).is_file():
         return ""
     content = content_of(folder / STARTED)
     if content.get("host", platform.node()) != platform.node():
         return ELSEWHERE
-    import psutil  # only a folder with STARTED needs it
+    import psutil  # imported only for a folder with STARTED, because of its size
 
-    try:  # A reused process number has another start time.
+    try:  # Another process with the same id has another start time.
         begun = psutil.Process(content["pid"]).create_time()
         return RUNNING if abs(begun - content["begun"]) < SAME_BEGINNING else INTERRUPTED
     except (psutil.Error, LookupError, TypeError, ValueError, OverflowError):
@@ -178,7 +179,7 @@ def state_of(folder: Path) -> str:
 
 
 def newest_run(folder: Path) -> Path:
-    """Return the newest of the numbered runs in a folder, or the folder itself if it has none."""
+    """Return the newest of the numbered runs in a folder, or the folder itself if it has no numbered runs."""
     try:
         numbers = [path for path in folder.iterdir() if RUN_NUMBER.fullmatch(path.name) and path.is_dir()]
     except OSError:
@@ -187,25 +188,25 @@ def newest_run(folder: Path) -> Path:
 
 
 def run_name(folder: Path) -> str:
-    """Return the name of a run's folder: `tank/0001` for a numbered one."""
+    """Return the name of a run's folder: with its number if it has one, such as `tank/0001`."""
     *_, before, name = ("", *folder.resolve().parts)
     return f"{before}/{name}" if RUN_NUMBER.fullmatch(name) else name
 
 
 def has_results(folder: Path) -> bool:
-    """Return whether a folder has results or rows."""
+    """Return True if a folder has the results of a command or a file with rows."""
     if any(a.is_left_in(folder, unfinished=True) for a in artefacts() if a.verb) or (folder / STARTED).is_file():
         return True
     return any(folder.glob("results.*"))
 
 
 def manifest_in(folder: Path) -> dict[str, Any]:
-    """Return the manifest in a folder without damaged parts."""
+    """Return the manifest in a folder without entries of a wrong type; empty if there is none."""
     return sound_part(folder / "manifest.json", content_of(folder / "manifest.json"))[0]
 
 
 def warnings_on(folder: Path) -> tuple[str, ...]:
-    """Return warnings and notes about the record in a folder."""
+    """Return warnings and notes about the manifest or other record in a folder."""
     file = next((path for name in ("manifest.json", REPLAY) if (path := folder / name).is_file()), None)
     if file is None:
         return ()
@@ -216,7 +217,7 @@ def warnings_on(folder: Path) -> tuple[str, ...]:
 
 
 def other_version(file: Path, record: Mapping[str, Any]) -> tuple[str, ...]:
-    """Return a warning or note about a record written by another version."""
+    """Return a warning or note if another version of cosim wrote a record."""
     schema, by = record.get("schema_version", SCHEMA_VERSION), str(record.get("cosim_version", ""))
     if schema != SCHEMA_VERSION:
         known = f"this version reads {SCHEMA_VERSION} and ignores new or changed keys"
@@ -225,12 +226,12 @@ def other_version(file: Path, record: Mapping[str, Any]) -> tuple[str, ...]:
 
 
 def content_of(path: Path) -> dict[str, Any]:
-    """Return a file's JSON mapping.
+    """Return the mapping in a JSON file.
 
-    It is empty if the file is unreadable or has a number beyond the range of doubles.
+    The result is empty if the file is unreadable or has a number beyond the range of doubles.
     """
     try:
-        stream = open_regular(path)  # faster than a file of Python, which `cosim list` notices
+        stream = open_regular(path)  # faster than `open`, which matters for `cosim list`
         try:
             size = os.fstat(stream).st_size
             content = parse_json(os.read(stream, size) if size <= MOST_BYTES else b"")
@@ -242,13 +243,13 @@ def content_of(path: Path) -> dict[str, Any]:
 
 
 def status_in(folder: Path) -> str:
-    """Return the status of an incomplete command as a phrase, else ""."""
+    """Return the status of an incomplete command as a phrase; "" for a complete one."""
     status = (manifest_in(folder) or replay_record(folder) or content_of(folder / STARTED)).get(STATUS, "ok")
     return "" if status == "ok" else f" (status: {state_of(folder) or status})"
 
 
 def replay_record(folder: Path) -> dict[str, Any]:
-    """Return the record of a replay on its rows.
+    """Return the record of a replay, which is stored beside its rows.
 
     Keys are `log`, `fmu`, `units` and `sentence`. Values of wrong types are left out.
     """
@@ -257,7 +258,7 @@ def replay_record(folder: Path) -> dict[str, Any]:
 
 @contextmanager
 def results_in(out: FilePath | None, verb: str, name: str, *, force: bool = False) -> Iterator[Path]:
-    """Yield the output folder: `out` (empty unless `force`), or a temporary folder without `out`.
+    """Yield the output folder: `out`, which must be empty unless `force`, or a temporary folder if `out` is None.
 
     NUMBERED as `out` means a new number in results/NAME.
     """
@@ -270,9 +271,9 @@ def results_in(out: FilePath | None, verb: str, name: str, *, force: bool = Fals
 
 # -- types of the values in records ---------------------------------------------------------------
 
-EACH = "*"  # key of a type of mappings, for all their values
+EACH = "*"  # key in a type of mappings; its type applies to all values
 NUMBER = (int, float, NoneType)
-# A type is a class or several, a list with the type of each element, or a mapping from keys, which may be absent
+# A type is a class or several, a list with the type of all its elements, or a mapping from keys, which may be absent
 CRITERION = {"kind": str, "of": str, "met": bool, "value": NUMBER, "max": NUMBER}
 COMMON: Mapping[str, Any] = {
     **dict.fromkeys(("cosim_version", "version", "command", "status", "verdict", "sentence"), str),
@@ -298,7 +299,7 @@ TYPES: Mapping[str, Mapping[str, Any]] = {
 
 
 def has_type(value: Any, kind: Any) -> bool:
-    """Return True if a value and its parts have the declared types. Booleans are not whole numbers."""
+    """Return True if a value and all its elements have the declared types. Booleans are not integers."""
     if isinstance(kind, list):
         return type(value) is list and all(has_type(each, kind[0]) for each in value)
     if isinstance(kind, dict):
@@ -308,7 +309,7 @@ def has_type(value: Any, kind: Any) -> bool:
 
 
 def sound_part(file: Path, record: Mapping[str, Any]) -> tuple[dict[str, Any], tuple[str, ...]]:
-    """Return a record without the keys whose values have a wrong type, and a warning for each."""
+    """Return a record without the keys whose values have a wrong type, and a warning for each removed key."""
     kinds = {**COMMON, **TYPES.get(file.name, {})}
     wrong = [key for key, kind in kinds.items() if key in record and not has_type(record[key], kind)]
     cure = "has a value of a wrong type and is not used: run it again, or correct the file"

@@ -1,8 +1,8 @@
 """Formats of tables besides CSV: Parquet, MAT files of version 5, HDF5, Excel and MDF.
 
-A Parquet file has a column of numbers per signal, with its unit in the column metadata. A MAT file of cosim has the
-time, a matrix of numbers and the names of its columns; one of other tools may have one numeric variable per signal, as
-long as the time. An HDF5 file has one dataset per signal, with the unit as an attribute.
+A Parquet file has a column of numbers per signal, with its unit in the column metadata. A MAT file of cosim contains
+the time, a matrix of numbers and the names of its columns; a MAT file of another tool may contain one numeric variable
+per signal, with as many values as the time. An HDF5 file has one dataset per signal, with the unit as an attribute.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from cosim.files.table import Column, Source, Table, as_text, is_time, plain_num
 MAGIC = b"PAR1"  # first and last bytes of every Parquet file
 UNIT = b"unit"  # key of a column's metadata
 PANDAS = b"pandas"  # key of the metadata that pandas writes, in JSON
-UNNAMED = re.compile(r"__index_level_\d+__")  # name that pandas gives to an index without one
+UNNAMED = re.compile(r"__index_level_\d+__")  # pandas' name of an index without a name
 NO_NAME = (
     "is a pandas index without a name: its whole numbers may count rows or seconds; if it is the time, "
     "name it by `rename_axis('time')`, otherwise write a column time"
@@ -50,7 +50,7 @@ class Parquet(Source):
     writes = True
 
     def read(self, path: Path, names: Container[str] = (), text: Collection[str] = ()) -> Table:
-        """Read all columns; a column of an unsupported type gets a fault."""
+        """Read all columns. A column whose type is not supported gets a fault."""
         from pyarrow.parquet import ParquetFile
 
         try:
@@ -66,10 +66,10 @@ class Parquet(Source):
         found: list[Column] = []
         for k in _order(content.schema):
             field = content.schema.field(k)
-            unit = (field.metadata or {}).get(UNIT)  # without it, the name may be `name [unit]`
+            unit = (field.metadata or {}).get(UNIT)  # without metadata, the name may be `name [unit]`
             name, unit = split_heading(field.name, names) if unit is None else (field.name, unit.decode())
             found.append(_column(name, unit, content.column(k), is_text=name in text))
-        if found and UNNAMED.fullmatch(found[0].name):  # Whole numbers may be row numbers.
+        if found and UNNAMED.fullmatch(found[0].name):  # an index of integers may contain row numbers
             is_whole = found[0].numeric and np.asarray(found[0].values).dtype.kind == "i"
             found[0] = replace(found[0], name="time", unit="s", fault=NO_NAME if is_whole else found[0].fault)
         return Table(found)
@@ -107,8 +107,8 @@ PARQUET = Parquet()
 def _order(schema: Any) -> list[int]:
     """Return the indices of the columns, with the time first.
 
-    pandas writes the index of a table as its last column. The time is the column `time`, or else the index. An index
-    without a name beside a column `time` is a row number, and is left out.
+    pandas writes the index of a table as its last column. The time is the column `time`, or else the index. If a table
+    has a column `time`, its index without a name contains row numbers and is left out.
     """
     names = [field.name for field in schema]
     try:
@@ -146,7 +146,7 @@ def _column(name: str, unit: str, column: Any, *, is_text: bool) -> Column:
 
 
 MAT_MAGIC = b"MATLAB 5.0 MAT-file"
-MOST_VARIABLE_BYTES = 2**31 - 1  # of a variable
+MOST_VARIABLE_BYTES = 2**31 - 1  # size of one variable
 
 
 class Mat(Source):
@@ -224,7 +224,7 @@ MAT = Mat()
 
 
 def _cells(texts: Sequence[str]) -> Any:
-    """Return texts as a cell array with one row."""
+    """Return texts as a MATLAB cell array with one row."""
     cells = np.empty((1, len(texts)), dtype=object)
     cells[0, :] = texts
     return cells
@@ -235,12 +235,12 @@ def _words(cells: Any) -> list[str]:
 
 
 HDF5_MAGIC = b"\x89HDF\r\n\x1a\n"
-MOST_DEFLATED, FILLED = 1032, 1 << 26  # size over stored bytes that deflate can reach; [bytes] that may be no values
+MOST_DEFLATED, FILLED = 1032, 1 << 26  # size per stored byte by deflate; [bytes] that may be fill values
 MIN_COMPRESSED = 1000  # rows; the index of compressed parts is larger than a short dataset
 
 
 class Hdf5(Source):
-    """HDF5, read and written by h5py. The attributes of a dataset are `name` (its full name) and `unit`."""
+    """HDF5, read and written by h5py. A dataset has the attributes `name` (full name) and `unit`."""
 
     name = "HDF5"
     suffixes = (".h5", ".hdf5")
@@ -248,13 +248,13 @@ class Hdf5(Source):
     writes = True
 
     def read(self, path: Path, names: Container[str] = (), text: Collection[str] = ()) -> Table:
-        """Read every dataset as long as `time`, in the order of writing."""
+        """Read every dataset with as many values as `time`, in the order in which they were written."""
         h5py = optional("h5py", lambda message: Fault(path, 0, 0, message))
         found: list[tuple[int, Column]] = []
 
         def add(place: str, item: Any) -> None:
             if not isinstance(item, h5py.Dataset) or item.ndim != 1 or item.external or item.is_virtual:
-                return  # values in other files, which may be pipes, are not read
+                return  # values stored in other files, which may be pipes, are not read
             if item.nbytes > MOST_DEFLATED * item.id.get_storage_size() + FILLED:
                 raise ValueError(f"{place} has fewer values than it declares")
             name, unit = item.attrs.get("name"), item.attrs.get("unit")
@@ -278,7 +278,7 @@ class Hdf5(Source):
         optional("h5py", "--format hdf5")
 
     def write(self, path: Path, columns: Sequence[Column]) -> None:
-        """Write a dataset per column; a dot in a name separates groups.
+        """Write a dataset per column; `component.variable` becomes the dataset `variable` in the group `component`.
 
         The file is built in memory, because the HDF5 library ends the process on a full disk.
         """
@@ -352,7 +352,7 @@ EXCEL = Excel()
 
 
 class Mdf(Source):
-    """Measurement files of ASAM MDF, version 4, and version 3 as far as asammdf reads it."""
+    """Measurement files of ASAM MDF, version 4, and of version 3 if asammdf can read them."""
 
     name = "MDF"
     suffixes = (".mf4", ".mdf")
@@ -366,7 +366,7 @@ class Mdf(Source):
                 signals = list(file.iter_channels(copy_master=True))
         except Exception as error:  # asammdf raises errors of many kinds for damaged files
             reason = str(error)[:200]
-            # It also raises them when a half-read file object is deleted.
+            # asammdf also raises them when a half-read file object is deleted.
             hook, sys.unraisablehook = sys.unraisablehook, lambda _: None
             error.__traceback__ = error.__context__ = None
             gc.collect()

@@ -14,7 +14,7 @@ from cosim.files.files import open_bytes
 from cosim.files.table import sources, suffixes
 from cosim.files.yaml_file import YamlFile
 
-WRITTEN = {".yaml", ".yml", ".json"}  # endings for which the keys decide the kind
+WRITTEN = {".yaml", ".yml", ".json"}  # suffixes of files whose kind depends on their keys
 ROW = re.compile(r"\s*[-+]?[\d.]+(e[-+]?\d+)?\s*([,;\t ]|$)", re.I)
 FIRST = re.compile(r'"?time\b|\w+:(\s|$)')
 UTF_16 = b"\xff\xfe", b"\xfe\xff"
@@ -23,26 +23,26 @@ UNREAD = "no command reads it; `cosim --help` lists the commands and their files
 
 
 def kind_by_form(path: Path) -> str | None:
-    """Return the kind of a file from its first bytes or ending; None if the keys must decide."""
+    """Return the kind of a file from its first bytes or ending; None if the kind depends on the keys."""
     head, ending = b"", path.suffix.lower()
     with suppress(OSError, ValueError), open_bytes(path) as stream:
         head = stream.read(HEAD)
     text = head.decode("utf-8", errors="replace").lstrip("\ufeff")
     members: list[str] = []
-    if head.startswith(b"PK") and ending not in {".fmu", ".ssp", *suffixes()}:  # Excel's tables are archives, too.
+    if head.startswith(b"PK") and ending not in {".fmu", ".ssp", *suffixes()}:  # Excel files are ZIP archives, too.
         with suppress(OSError, ValueError, zipfile.BadZipFile, NotImplementedError), zipfile.ZipFile(path) as archive:
             members = archive.namelist()
 
     for a in artefacts():
         if a.member in members:
             return a.kind
-        name, other = a.beside or ("", "")  # For rows in formats other than CSV, only the suffix differs.
+        name, other = a.beside or ("", "")  # In formats other than CSV, the file with the rows has another suffix.
         is_rows = name.endswith(".csv") and path.stem == Path(name).stem and path.suffix in suffixes()
         if a.beside and (path.name == name or is_rows) and (path.parent / other).is_file():
             return a.kind
     if any(source.magic and head.startswith(source.magic) for source in sources()):
-        return LOG  # Later checks examine its columns.
-    if ending in suffixes():  # A row of a CSV file that was cut by a loss of power may contain zero bytes.
+        return LOG  # `check` examines the columns later.
+    if ending in suffixes():  # A loss of power can leave zero bytes in a CSV file.
         is_binary = ending == ".csv" and b"\0" in head.partition(b"\n")[0] and not head.startswith(UTF_16)
         return BINARY if is_binary else LOG
     for a in artefacts():
@@ -57,13 +57,13 @@ def kind_by_form(path: Path) -> str | None:
 
 
 def next_step(kind: str, path: Path) -> str:
-    """Return advice for a file of a kind."""
+    """Return advice that names the command for a file of this kind."""
     artefact = of_kind(kind)
     return UNREAD if artefact is None else artefact.next_step.format(file=shell_path(path))
 
 
 def kind_of(path: Path) -> str | None:
-    """Return the kind of a file by form or keys; None if unknown."""
+    """Return the kind of a file, from its first bytes, suffix or keys; None if unknown."""
     return kind_by_form(path) or (_by_keys(path) if path.suffix.lower() in WRITTEN else None)
 
 
@@ -84,7 +84,7 @@ def refuse_other(path: Path, kind: str | None, *wanted: str) -> None:
 
 
 def refuse_unreadable(path: Path, *wanted: str) -> None:
-    """Raise InputError for a missing or empty file, a folder or a pipe."""
+    """Raise InputError for a path that cannot be read as a file: missing, empty, a folder or a pipe."""
     kinds = " or ".join(wanted)
     try:
         if path.is_dir():
@@ -101,24 +101,24 @@ def refuse_unreadable(path: Path, *wanted: str) -> None:
 
 
 def check_form(path: Path, *wanted: str) -> None:
-    """Raise InputError if a file is unreadable, or its form is not one of the wanted kinds."""
+    """Raise InputError if a file is unreadable, or if its first bytes or suffix exclude the wanted kinds."""
     refuse_unreadable(path, *wanted)
     refuse_other(path, kind_by_form(path), *wanted)
 
 
 def check_given(path: Path, *wanted: str) -> None:
-    """Raise InputError if a file is unreadable, or its kind is not one of the wanted kinds."""
+    """Raise InputError if a file is unreadable, or if its kind, also by its keys, is not one of the wanted kinds."""
     refuse_unreadable(path, *wanted)
     refuse_other(path, kind_of(path), *wanted)
 
 
 def shell_path(path: Path) -> str:
-    """Return a path quoted for a shell."""
+    """Return a path, quoted if a shell requires quotes."""
     return shlex.quote(str(path))
 
 
 def refuse_folder(path: Path, kinds: str) -> None:
-    """Raise InputError for a result folder of another command; accept an incomplete folder of a wanted kind."""
+    """Raise InputError for a folder that another command wrote; accept an incomplete folder of a wanted kind."""
     artefact = folder_kind(path)
     if artefact is not None and artefact.folder not in kinds:
         step = artefact.folder_step.format(file=shell_path(path))

@@ -44,12 +44,12 @@ class Results:
         values: Shape (rows, columns).
         units: Name → unit, "" without unit.
         exact: Name → column of values that doubles cannot store: text, 64-bit integers, binary data.
-        whole: Columns of integers, Booleans and enumerations.
+        whole: Names of the columns of integers, Booleans and enumerations.
         notes: Notes on the run.
-        loop: Stepping loop: "C", or "Python: " with the reason; "" if unknown.
+        loop: Language of the stepping loop: "C", or "Python: " with the reason; "" if unknown.
         events: The first events and clock ticks of a run with event mode: time [s], component, cause.
         event_counts: Number of events by component and cause.
-        details: Entries for the manifest on the communication steps.
+        details: Entries of the manifest about the communication steps.
         words: Names of the text and binary columns in `exact`; empty if unknown.
     """
 
@@ -73,7 +73,7 @@ class Results:
         return name in self._places
 
     def with_integers(self) -> Results:
-        """Return results in which columns of 64-bit integers in `exact` are also in `values`, rounded to doubles."""
+        """Return results whose `values` also have the 64-bit integers of `exact`, rounded to doubles."""
         found: dict[str, Array] = {}
         for name, values in self.exact.items():
             is_whole = (INTEGER.fullmatch(v) if isinstance(v, str) else type(v) is int for v in values)
@@ -93,7 +93,7 @@ class Results:
         return {name: k for k, name in enumerate(self.columns)}
 
     def write(self, path: Path) -> None:
-        """Write time and all columns in the format of the suffix."""
+        """Write time and all columns in the format given by the suffix of the path."""
         columns = [Column("time", "s", self.time)]
         for name, values in zip(self.columns, self.values.T, strict=True):
             exact = values.astype(np.int64) if name in self.whole else values
@@ -103,7 +103,7 @@ class Results:
 
 
 def is_rounded(values: Any) -> bool:
-    """Return True if integers, perhaps stored as doubles, are too large for exact doubles."""
+    """Return True if an array has integers, perhaps stored as doubles, that are too large to be exact as doubles."""
     return bool(values.size) and bool(values.max() >= EXACT or values.min() <= -EXACT)
 
 
@@ -118,7 +118,7 @@ def read_results(
     words: Collection[str] = (),
     names: Mapping[str, str] | None = None,
 ) -> Results:
-    """Return written results, or any table with a time.
+    """Return the results in a file written by cosim, or any other table with a time.
 
     Times in other units, and dates, become seconds; `notes` list the assumptions.
 
@@ -157,7 +157,7 @@ def read_results(
             numbers[column.name] = values.astype(np.float64)
             whole |= {column.name} if values.dtype.kind == "i" else set()
     faults.raise_any()
-    assert time is not None  # set above: the time is not spare
+    assert time is not None  # Set above, since the time column is not spare.
     every = np.column_stack(list(numbers.values())) if numbers else np.empty((time.size, 0))
     own_units = {c.name: c.unit for c in table.columns[1:] if c.unit}
     own_units |= {name: unit for name, unit in units.items() if name in numbers or name in exact}
@@ -167,12 +167,12 @@ def read_results(
 
 
 def rows_name(stem: str, format_: str) -> str:
-    """Return the file name for rows in a format; raise InputError if the format cannot be written."""
+    """Return the name `stem` with the suffix of a format; raise InputError if cosim cannot write the format."""
     source = source_named(format_)
     source.check_writable()
     return f"{stem}{source.suffixes[0]}"
 
 
 def rows_in(folder: Path, stem: str = "results") -> Path | None:
-    """Return the file with the rows in a folder, in any format."""
+    """Return the path of the file with the rows in a folder, in any format; None if there is no such file."""
     return next((path for suffix in suffixes() if (path := folder / f"{stem}{suffix}").is_file()), None)

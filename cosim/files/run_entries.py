@@ -39,10 +39,10 @@ from cosim.files.run_inputs import changes_between, input_leaves, input_text, sh
 OUTCOMES = ("verdict", "status", "sentence")  # keys of a record that may contain the outcome
 UNFINISHED, DAMAGED, ROWS_ONLY = "unfinished", "damaged record", "rows without a record"
 NO_ROWS = "rows are gone"
-MOST_CHANGES = 3  # in a text
+MOST_CHANGES = 3  # changed inputs named in a text
 DAY = 86_400.0  # [s]
 DEEPEST = 6  # levels of folders below the folder of results: results/a/b/c/d/runs/0001
-NUMBERS = ".run-numbers"  # line k has the name of the results with the number k; lines are only added
+NUMBERS = ".run-numbers"  # file; its line k is the name of the results with number k, and lines are only added
 
 
 @dataclass(frozen=True)
@@ -50,8 +50,8 @@ class Entry:
     """Results of one command.
 
     Attributes:
-        number: Permanent number: by age when results were first listed, the next free number for new results.
-        name: Path within the folder of results: `tank/0001`, or `sub/tank` for a folder that was named by --out.
+        number: Permanent number. The first listing numbers all results by age; later results get the next free numbers.
+        name: Path within the folder of results: `tank/0001`, or `sub/tank` for a folder given by --out.
         of: Name without the run number, shared by all runs of a series.
         verb: Command that wrote the results, without `cosim`; "" if unknown.
         time: Time of writing [s] since 1970.
@@ -59,9 +59,9 @@ class Entry:
             without a record`, `rows are gone`, or "".
         changes: Input → value, for inputs that differ from the previous run of the same name; None for a removed input.
         version: Version of cosim, or of the schema, that wrote the record, if it differs from the current one; else "".
-        warnings: Values of wrong types in the record.
+        warnings: A warning for each value of a wrong type in the record.
         is_newest: True if no later run has the same name.
-        criteria: Judged criteria in the record.
+        criteria: Entries of the record with a criterion, its value, and whether it is met.
         display: Unit → name of its display unit, factor and offset to its values.
     """
 
@@ -81,7 +81,7 @@ class Entry:
 
     @property
     def merits(self) -> dict[str, tuple[float, str]]:
-        """Return for each criterion: title → (value, value in its display unit)."""
+        """Return title → (value, value in its display unit) for each criterion."""
         found = {}
         with showing({"display": self.display}):
             for c in self.criteria:
@@ -95,7 +95,7 @@ class Entry:
 
     @property
     def met(self) -> bool | None:
-        """Return True if all criteria were met; None without criteria."""
+        """Return True if all criteria were met; None if the run has no criteria."""
         return all(bool(c["met"]) for c in self.criteria) if self.criteria else None
 
     @property
@@ -110,7 +110,7 @@ class Entry:
 
     @property
     def changed(self) -> str:
-        """Return the changes as a text."""
+        """Return the changed inputs as text, such as `mass = 440`."""
         names = ((short_input(key), value) for key, value in self.changes.items())
         return some([f"{name} = {input_text(v)}" if v is not None else f"no {name}" for name, v in names], MOST_CHANGES)
 
@@ -128,7 +128,7 @@ def entries(results: Path | None = None) -> list[Entry]:
     for entry, content in _results_within(root, Path(root.resolve().name), 0):
         by_name.setdefault(entry.of, []).append((entry, content))
     every: list[Entry] = []
-    for group in by_name.values():  # a folder without a number is older than the numbered ones
+    for group in by_name.values():  # a folder without a number precedes the numbered runs
         group.sort(key=lambda found: int(last) if RUN_NUMBER.fullmatch(last := found[0].folder.name) else 0)
         before: Mapping[str, Any] = {}
         for entry, content in group:
@@ -139,12 +139,12 @@ def entries(results: Path | None = None) -> list[Entry]:
     every.sort(key=lambda entry: (entry.time, entry.name))
     lines = [entry.name.replace("\n", "\0") for entry in every]
     known = _numbered_lines(root)
-    if new := [line for line in lines if line not in known]:  # They get the next numbers, in their order.
-        with suppress(OSError):  # Commands that add lines at the same time agree: the first line of a name counts.
+    if new := [line for line in lines if line not in known]:  # The new names get the next numbers, in this order.
+        with suppress(OSError):  # If several commands add lines at the same time, the first line of a name counts.
             with (root / NUMBERS).open("a", encoding="utf-8", errors="surrogateescape") as stream:
                 stream.write("".join(f"{line}\n" for line in new))
             known = _numbered_lines(root)
-        for line in new:  # the file cannot be written
+        for line in new:  # if the file cannot be written
             known.setdefault(line, len(known) + 1)
     return [replace(entry, number=known[line]) for entry, line in zip(every, lines, strict=True)]
 
@@ -193,7 +193,7 @@ def _recorded(place: Path, name: Path, items: Mapping[str, os.DirEntry[str]]) ->
         if "no_report" in content and "report.html" not in items:
             outcome += f", no report: {content['no_report']}"
     elif has_rows:
-        from cosim.files.results import rows_in  # with numpy, which a list seldom needs
+        from cosim.files.results import rows_in  # imports numpy, which the list seldom needs
 
         if (rows := rows_in(place)) is None:
             return None
@@ -223,7 +223,7 @@ def _recorded(place: Path, name: Path, items: Mapping[str, os.DirEntry[str]]) ->
 
 
 def _outcome(content: Mapping[str, Any]) -> str:
-    """Return the outcome in a record: criteria, otherwise verdict, status or sentence."""
+    """Return the outcome in a record as text: of its criteria, or else its verdict, status or sentence."""
     if "sweep" in content and isinstance(runs := content.get("runs"), int):
         counts = f"{runs} runs" + (f", {content['failed']} failed" if content.get("failed") else "")
         met = content.get("met_all") if content.get("criteria") else None
@@ -236,7 +236,7 @@ def _outcome(content: Mapping[str, Any]) -> str:
 
 
 def _judged(content: Mapping[str, Any]) -> tuple[Mapping[str, Any], ...]:
-    """Return the judged criteria of a run."""
+    """Return the entries of a record with a criterion that was met or missed."""
     criteria = content.get("criteria")
     if not isinstance(criteria, list) or "sweep" in content:
         return ()
@@ -244,7 +244,7 @@ def _judged(content: Mapping[str, Any]) -> tuple[Mapping[str, Any], ...]:
 
 
 def _numbered_lines(root: Path) -> dict[str, int]:
-    """Return name → number of all results that were ever listed, in the order of numbers."""
+    """Return name → number of all results that were ever listed, ordered by number."""
     try:
         lines = (root / NUMBERS).read_text(encoding="utf-8", errors="surrogateescape").split("\n")
     except OSError:
@@ -260,12 +260,12 @@ def _numbered_lines(root: Path) -> dict[str, int]:
 
 @dataclass(frozen=True)
 class Selected:
-    """Results selected by a text.
+    """Results that a text of the user selects.
 
     Attributes:
         path: Folder of a command, or a table of rows.
         entry: Entry of the folder of results; None for other paths.
-        by_pattern: True if a pattern matched, so that results without rows may be left out.
+        by_pattern: True if a pattern selected the results; results without rows may then be left out.
     """
 
     path: Path
@@ -285,10 +285,10 @@ class Selected:
 
 
 def select_groups(texts: Sequence[str], results: Path | None = None) -> list[list[Selected]]:
-    """Return, for each text, the results of paths, numbers, names and patterns such as `tank/*`, in this order.
+    """Return the results that each text selects: a path, number, name, or pattern such as `tank/*`.
 
-    An existing path takes precedence, except a folder without results whose name is also a name of results. A folder of
-    numbered runs, or its name, means the newest run. A pattern selects its matches by age, without results already
+    An existing path takes precedence over a name, unless it is a folder without results. A folder of numbered runs, or
+    its name, means the newest run. A pattern selects its matches from the oldest to the newest, except results already
     selected.
 
     Args:
@@ -325,7 +325,7 @@ def select_groups(texts: Sequence[str], results: Path | None = None) -> list[lis
 
 
 def find_entries(texts: Sequence[str] | None, results: Path) -> list[Entry]:
-    """Return the entries of numbers, names and patterns in this order, each once. Without texts, return all entries.
+    """Return the entries that numbers, names and patterns select, each once; without texts, all entries.
 
     Raises:
         InputError: A text matches no entry, or a folder other than the default does not exist.
@@ -347,7 +347,7 @@ def find_entries(texts: Sequence[str] | None, results: Path) -> list[Entry]:
 def match_entries(text: str, every: Sequence[Entry], root: Path = RESULTS) -> list[Entry]:
     """Return the entries selected by a name, a number, a pattern or a subfolder of the folder of results.
 
-    The name of several runs selects the newest.
+    A name that several runs share selects the newest run.
     """
     if text.isdecimal() and not any(e.name == text for e in every):
         return [e for e in every if str(e.number) == text.lstrip("0")]
@@ -373,7 +373,7 @@ def _no_match(text: str, every: Sequence[Entry]) -> str:
 
 @dataclass(frozen=True)
 class Removal:
-    """Earlier runs to remove, or removed, their size in bytes, and reasons why others cannot be removed."""
+    """Earlier runs that are or were removed, their size in bytes, and the reasons why other runs cannot be removed."""
 
     entries: tuple[Entry, ...]
     size: int
@@ -398,20 +398,20 @@ def plan_removal(
     limit = time.time() - DAY * older
     names = {entry.name for entry in (entries if chosen is None else chosen)}
     outdated = [e for runs in by_name.values() for e in runs[: max(0, len(runs) - keep)] if e.time <= limit]
-    around = {folder for entry in entries for folder in entry.folder.parents}  # of other results
+    around = {folder for entry in entries for folder in entry.folder.parents}  # folders that contain other results
     idle = [e for e in outdated if state_of(e.folder) in {"", INTERRUPTED} and e.folder not in around]
     removed = tuple(entry for entry in idle if entry.name in names)
     return Removal(removed, sum(_size(entry.folder) for entry in removed))
 
 
 def remove(entries: Iterable[Entry]) -> Removal:
-    """Remove earlier runs."""
+    """Remove earlier runs; return the removed ones."""
     removed, size, faults = list[Entry](), 0, list[Fault]()
     for entry in entries:
         taken = _size(entry.folder)
         try:
             shutil.rmtree(entry.folder)
-        except FileNotFoundError:  # by another command
+        except FileNotFoundError:  # Another command has removed the folder.
             continue
         except OSError as error:
             faults.append(Fault(entry.folder, 0, 0, f"cannot be removed: {error.strerror or error}"))

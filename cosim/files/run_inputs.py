@@ -6,12 +6,12 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-OWN = ("fmu", "log", "logs", "sealed", "start", "given", "study", "sweep", "a", "b", "tolerance")  # without a scenario
-UNCHANGED = {"sha256", "name", "description"}  # keys of a scenario that are no inputs
+OWN = ("fmu", "log", "logs", "sealed", "start", "given", "study", "sweep", "a", "b", "tolerance")  # of other verbs
+UNCHANGED = {"sha256", "name", "description"}  # keys of a scenario that are not inputs
 PARAMETER, FMU, SCENARIO, SEED, VERSION = "parameter", "FMU", "scenario", "seed", "version"
-KINDS = (PARAMETER, SCENARIO, FMU, SEED, VERSION)  # the order of a label and of a table
-MOST_IN_LABEL = 3  # inputs
-DIGITS = 12  # of a SHA-256
+KINDS = (PARAMETER, SCENARIO, FMU, SEED, VERSION)  # order of kinds in labels and tables
+MOST_IN_LABEL = 3  # inputs named in a label
+DIGITS = 12  # shown digits of a SHA-256
 LONGEST = 24  # characters of a value in a label
 
 
@@ -20,7 +20,7 @@ class DifferingInput:
     """An input whose value differs between runs.
 
     Attributes:
-        kind: parameter, scenario, FMU, seed or version.
+        kind: Kind of the input: parameter, scenario, FMU, seed or version.
         values: Value in each run; None if the run does not have the input.
     """
 
@@ -37,7 +37,7 @@ def input_leaves(record: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _leaves(value: Any, place: str) -> Iterator[tuple[str, Any]]:
-    """Yield each scalar and each list of scalars in a nested value with its path."""
+    """Yield the path and value of each scalar, and of each list of scalars, in a nested value."""
     if isinstance(value, dict):
         for key, each in value.items():
             if isinstance(each, (dict, list)) or key not in UNCHANGED:
@@ -50,13 +50,13 @@ def _leaves(value: Any, place: str) -> Iterator[tuple[str, Any]]:
 
 
 def changes_between(before: Mapping[str, Any], after: Mapping[str, Any]) -> dict[str, Any]:
-    """Return path → value of the inputs that differ; None for a removed input."""
+    """Return path → value of the inputs that differ; None for an input that only `before` has."""
     changed = {path: value for path, value in after.items() if path not in before or before[path] != value}
     return changed | {path: None for path in before if path not in after}
 
 
 def differing_inputs(records: Sequence[Mapping[str, Any]]) -> list[DifferingInput]:
-    """Return the inputs that differ between recorded runs, in the order of labels.
+    """Return the inputs that differ between recorded runs, in the order of KINDS.
 
     Runs without a record, for example tables of other tools, have no inputs and are not compared.
     """
@@ -98,7 +98,7 @@ def labels_of(
     Args:
         names: Short names of the runs.
         inputs: Inputs that differ between the runs.
-        unique: A unique text for each run, such as its path, appended to equal labels.
+        unique: Text for each run that is appended if labels would be equal, such as its path.
         longer: Labels of runs without a differing input, by default their names.
         baseline: Index of a run; inputs equal to those of this run are left out of the labels.
     """
@@ -108,7 +108,7 @@ def labels_of(
         chosen = [row for row in listed if baseline in {None, k} or row.values[k] != row.values[baseline]]
         rows = [row for row in chosen if row.values[k] is not None][:MOST_IN_LABEL]
         values = [input_text(row.values[k]) for row in rows]
-        shorts = [v.rpartition("/")[2] if v.startswith("/") else v for v in values]  # files without their folders
+        shorts = [v.rpartition("/")[2] if v.startswith("/") else v for v in values]  # file names instead of paths
         texts = [
             f"{row.name} = {v if len(v) <= LONGEST else f'{v[: LONGEST - 1]}…'}"
             for row, v in zip(rows, shorts, strict=True)
@@ -118,7 +118,7 @@ def labels_of(
 
 
 def short_input(path: str) -> str:
-    """Return the path of an input without the parts common to all components."""
+    """Return the path of an input without the leading parts that it shares with the inputs of all components."""
     return path.removeprefix("components.").replace(".start.", ".")
 
 

@@ -1,4 +1,4 @@
-"""State files: JSON with bytes in Base64, checked by a SHA-256, written completely or not at all.
+"""State files, such as checkpoints: JSON with bytes in Base64 and a SHA-256, written completely or not at all.
 
 A state file contains data only; reading one executes nothing.
 """
@@ -16,7 +16,7 @@ from typing import Any
 from cosim.core.drafts import draft_of
 
 MAGIC = b"cosim state 2\n"
-BLOB = "blob"  # key of bytes
+BLOB = "blob"  # key under which JSON contains bytes
 
 
 class BadState(ValueError):
@@ -24,13 +24,13 @@ class BadState(ValueError):
 
 
 def pack(content: Any) -> bytes:
-    """Return the content of a state file."""
+    """Return the bytes of a state file with this content."""
     text = json.dumps(content, default=lambda value: {BLOB: b64encode(value).decode()}).encode()
     return MAGIC + hashlib.sha256(text).hexdigest().encode() + b"\n" + text
 
 
 def unpack(data: bytes) -> Any:
-    """Return the values; raise BadState if damaged."""
+    """Return the content of a state file from its bytes; raise BadState if they are damaged."""
     if not data.startswith(MAGIC):
         raise BadState("it is not a state file of this version")
     digest, _, text = data[len(MAGIC) :].partition(b"\n")
@@ -40,7 +40,7 @@ def unpack(data: bytes) -> Any:
 
 
 def write_durable(path: Path, content: bytes) -> None:
-    """Replace a file, safe against power failures."""
+    """Replace a file so that a power failure leaves either the old or the new content."""
     with draft_of(path) as draft, draft.open("wb") as stream:
         stream.write(content)
         stream.flush()
@@ -49,8 +49,8 @@ def write_durable(path: Path, content: bytes) -> None:
 
 
 def sync(path: Path) -> None:
-    """Write a file or folder to the disk."""
-    with suppress(OSError):  # Some systems do not open folders; a disk that cannot sync keeps the file anyway.
+    """Write buffered data of a file or folder to the disk."""
+    with suppress(OSError):  # Some systems cannot open folders or sync.
         descriptor = os.open(path, os.O_RDONLY)
         try:
             os.fsync(descriptor)

@@ -36,16 +36,16 @@ OWN = (
     "cosim.files.formats:MDF",
 )
 HEAD = 64  # bytes examined to detect a format
-SHOWN_FAULTS = 20  # faults that are shown for a file; the rest are counted
+SHOWN_FAULTS = 20  # largest number of faults shown for a file; further ones are counted
 MOST_TIME = math.sqrt(sys.float_info.max)  # [s] largest time whose square is a double
 FLOAT_RESOLUTION_S = 1e-6  # spacing of doubles from which equal times are due to their size
-TIMES = {  # other usual names of the time
+TIMES = {  # other usual names of the time column
     *("t", "timestamp", "time stamp", "time_stamp", "datetime", "date time", "date", "elapsed", "seconds"),
     *("zeit", "zeitstempel", "datum", "temps", "tiempo", "tempo", "tijd"),
 }
-NAMELESS = ("", "unnamed: 0")  # headings of a column without a name, as pandas writes and reads its index
+NAMELESS = ("", "unnamed: 0")  # headings of an index column without a name, as pandas writes and reads it
 DAY_FIRST = re.compile(r"\d\d\.\d\d\.\d{4}")  # 24.12.2026 18:00:00
-INDEX = re.compile(r"\S\[[\d,\s]+\]$")  # end of a name like p.e[1]; a unit follows a blank or is not numeric
+INDEX = re.compile(r"\S\[[\d,\s]+\]$")  # index at the end of a name like p.e[1], not a unit
 DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?")
 
 
@@ -55,10 +55,10 @@ class Column:
 
     Attributes:
         unit: Unit, "" if absent.
-        values: Numbers, NaN if missing, whole numbers as integers; or a list of other values.
-        fault: Reason for missing numbers, e.g. "has time stamps; write seconds", or "".
+        values: Array of doubles (NaN if missing) or of integers; or a list of other values.
+        fault: Reason why the column has no numbers, e.g. "has time stamps; write seconds", or "".
         is_text: True if the file declares the values as text or binary data, even if they look like numbers.
-        cell: Number of the column in the file, from 1; set by `read_source`.
+        cell: Position of the column in the file, from 1; set by `read_source`.
     """
 
     name: str
@@ -70,7 +70,7 @@ class Column:
 
     @property
     def numeric(self) -> bool:
-        """Return True if the values are numbers."""
+        """Return True if the values are an array of numbers."""
         return isinstance(self.values, np.ndarray) and not self.fault
 
     @property
@@ -86,11 +86,11 @@ class Table:
     """Columns read from a file; the first one is usually the time.
 
     Attributes:
-        lines: Line of each row; empty in formats without lines.
-        header: Line of the header; 0 in formats without lines.
+        lines: Line number of each row; empty in formats without lines.
+        header: Line number of the header; 0 in formats without lines.
         faults: Faults of rows that could not be read.
-        assumed: Assumptions made when the file was read, as sentences.
-        own_times: True if columns have values at different times; an input then keeps its last value between them.
+        assumed: Sentences on assumptions made when the file was read.
+        own_times: True if columns have values at different times; an input then keeps its value until its next one.
         spoiled: Names of columns left out because a cell is not a finite number; set by `read_table`.
     """
 
@@ -109,7 +109,7 @@ class Table:
 
     @property
     def row_lines(self) -> Sequence[int]:
-        """Return the line of each row, or its number."""
+        """Return the line number of each row; in formats without lines, the number of each row."""
         return self.lines or range(1, self.rows + 1)
 
     @cached_property
@@ -126,14 +126,14 @@ class Table:
 
 @dataclass(frozen=True)
 class Use:
-    """Use of a column by a caller.
+    """How the caller of `read_table` uses a column.
 
     Attributes:
         name: Name of the signal.
-        factor: Factor for the numbers of the column; `offset` is added afterwards.
-        role: Description of a column that must have no gaps, such as "the time" or "an input"; "" allows empty cells as
-            NaN.
-        spare: True if a cell without a finite number removes the column instead of being a fault.
+        factor: Factor by which the numbers of the column are multiplied before `offset` is added.
+        role: Description of the signal in messages, such as "the time" or "an input", if cells must not be empty. "":
+            an empty cell becomes NaN.
+        spare: True for an optional column: a cell without a finite number is not a fault, but the column is left out.
     """
 
     name: str
@@ -149,8 +149,8 @@ class Source:
     Attributes:
         name: Name in messages.
         suffixes: Lower-case suffixes with the dot.
-        magic: First bytes of every file, b"" if undefined.
-        writes: Whether results can be written in the format.
+        magic: First bytes of every file, b"" if they differ.
+        writes: True if results can be written in the format.
     """
 
     name = ""
@@ -162,8 +162,8 @@ class Source:
         """Read all columns.
 
         Args:
-            names: Known names, whose brackets are not units.
-            text: Columns of text, even with numeric content.
+            names: Names of signals. Brackets in these names do not contain units.
+            text: Names of columns to read as text, even if their cells are numbers.
 
         Raises:
             InputError: The file cannot be read.
@@ -187,7 +187,7 @@ class Faults:
 
     Attributes:
         header: Line of the header.
-        faulty: Numbers of the columns with faulty cells.
+        faulty: Positions of the columns with faulty cells.
     """
 
     def __init__(self, path: Path) -> None:
@@ -196,7 +196,7 @@ class Faults:
         self.faulty: set[int] = set()
 
     def note(self, line: int, cell: int, message: str) -> None:
-        """Record a fault; line and cell count from 1, 0 means the file."""
+        """Record a fault; line and cell count from 1; 0 means the whole file."""
         self.items.append(Fault(self.path, line, cell, message))
 
     def note_cells(self, rows: Rows, lines: Sequence[int], cell: int, message: Callable[[int], str]) -> None:
@@ -224,7 +224,7 @@ class Faults:
 
 
 def read_source(faults: Faults, names: Container[str] = (), text: Collection[str] = ()) -> Table:
-    """Return all columns of a file, and record its faults; an empty table if the file is unreadable."""
+    """Return all columns of a file, and record its faults; for an unreadable file, return an empty table."""
     path = faults.path
     try:
         if not path.is_file():
@@ -256,13 +256,14 @@ def read_table(
     Args:
         choose: Function from a column to its use; None skips the column, perhaps with a fault.
         description: Description of the columns after time, for messages on empty files.
-        names: Known names, whose brackets are not units.
-        times: Column names that the user declared as time; the time may then be any column. None: the first column must
-            be `time`.
-        jumps: Allow equal times, which mark a jump.
+        names: Names of signals. Brackets in these names do not contain units.
+        times: Names that the user gave to the time column, which may then be any column. None: the first column must be
+            `time`.
+        jumps: Accept rows with equal times, which mark a jump of the values.
 
     Returns:
-        None if the header is unreadable. Without a time column, which is a fault, the other columns are returned.
+        The table; None if the header is unreadable. A missing time column is a fault; the other columns are then
+        returned.
     """
     table = read_source(faults, names)
     if not table.columns:
@@ -298,8 +299,8 @@ def time_first(table: Table, faults: Faults, named: Collection[str], signals: Co
     """Return a table with the time as first column; dates become seconds.
 
     The time is the column named by the user, otherwise `time`, otherwise a column with another usual name, otherwise
-    the first column with increasing numbers. The last two must not be signals of the model. A column of row numbers
-    without a name is left out.
+    the first column with increasing numbers. A column chosen in one of the last two ways must not be a signal of the
+    model. A column of row numbers without a name is left out.
     """
     columns = [c for c in table.columns if not (c.name.casefold() in NAMELESS and _counts_rows(c))]
     assumed = list(table.assumed)
@@ -329,13 +330,13 @@ def time_first(table: Table, faults: Faults, named: Collection[str], signals: Co
 
 
 def _counts_rows(column: Column) -> bool:
-    """Return True if a column contains the numbers of its rows."""
+    """Return True if a column contains consecutive row numbers."""
     values = column.values
     return isinstance(values, np.ndarray) and values.dtype.kind in "iu" and bool(np.all(np.diff(values) == 1))
 
 
 def _increases(column: Column) -> bool:
-    """Return whether a column has increasing numbers or dates."""
+    """Return True if a column has increasing numbers or dates."""
     values = column.values
     if column.fault or len(values) < 2:
         return False
@@ -361,9 +362,9 @@ def date_of(text: Any) -> datetime | None:
 
 
 def _seconds_of_dates(column: Column, table: Table, faults: Faults) -> tuple[Array, datetime] | None:
-    """Return seconds since the first row, and the date of the first row; None if the first cell is not a date.
+    """Return seconds since the first row, and the date of the first row; None if the first cell has no date.
 
-    Other cells without a date are faults.
+    Any other cell without a date is a fault.
     """
     dates = [date_of(text) for text in column.values]
     begin = next(iter(dates), None)
@@ -384,14 +385,14 @@ def numbers_of(column: Column, use: Use, table: Table, faults: Faults, *, jumps:
     """Return a column's numbers in the requested unit, and record its faulty cells.
 
     Times that are too large or decrease are faults too; equal times are faults unless `jumps`. The result is None for a
-    spare column with faulty cells.
+    column that is left out because its use is `spare` and a cell is faulty.
     """
     lines, cell = table.row_lines, column.cell
     wrong = np.zeros(len(lines), bool)
     values = np.full(len(lines), np.nan)
     if column.numeric:
         values[:] = column.values
-    elif column.fault or not table.header:  # Only cells read as text have places.
+    elif column.fault or not table.header:  # Cells that were not read as text have no line and column.
         if use.spare:
             return None
         faults.faulty.add(cell)
@@ -429,7 +430,7 @@ def numbers_of(column: Column, use: Use, table: Table, faults: Faults, *, jumps:
 
 
 def number_of(text: str) -> float | None:
-    """Return the number of a cell, NaN of a blank one; None without a number."""
+    """Return the number in a cell's text; NaN for a blank cell, None for other text."""
     if not text or text.isspace():
         return math.nan
     try:
@@ -458,7 +459,7 @@ def _check_times(time: Array, lines: Sequence[int], cell: int, faults: Faults, *
 
 
 def note_wrong_first(faults: Faults, table: Table) -> None:
-    """Record the fault that the first column is not time."""
+    """Record as a fault that the first column is not the time."""
     first = table.columns[0].name if table.columns else ""
     place = next((cell for cell, column in enumerate(table.columns, 1) if is_time(column.name)), 0)
     hint = f"; time is column {place}: move it to the front" if place else did_you_mean(first, ["time"])
@@ -468,10 +469,11 @@ def note_wrong_first(faults: Faults, table: Table) -> None:
 
 
 def read_columns(path: Path, names: Collection[str] = (), text: Collection[str] = ()) -> Table:
-    """Read time [s] and every fully numeric column. Equal times mark a jump.
+    """Read the time [s] and every column of numbers. Rows with equal times mark a jump of the values.
 
     Args:
-        names: Required columns, whose brackets are not units. If given, other columns without numbers are ignored.
+        names: Required columns; brackets in these names do not contain units. If there are any, other columns without
+            numbers are ignored.
         text: Text columns, which are not read.
 
     Raises:
@@ -514,10 +516,10 @@ def is_time(name: str) -> bool:
 
 
 def table_by_time(columns: Sequence[Column]) -> Table:
-    """Return the columns of another tool's file as a table with the time first; without a time, an empty table.
+    """Return the columns of another tool's file as a table whose first column is the time; empty without a time.
 
-    The time is `time` in any case, otherwise `t`; `T` usually is a temperature. Columns of another length are left
-    out.
+    The time is the column `time` in upper or lower case, otherwise `t`, but not `T`, which usually is a temperature.
+    Columns of another length are left out.
     """
     names = [column.name for column in columns]
     found = next((name for name in names if is_time(name)), "t" if "t" in names else None)
@@ -529,7 +531,7 @@ def table_by_time(columns: Sequence[Column]) -> Table:
 
 
 def time_scale(faults: Faults, line: int, unit: str) -> float:
-    """Return the factor from the unit of time to seconds, and record an unknown unit."""
+    """Return the factor from a unit of time to seconds; record a fault for an unknown unit."""
     scale = factor(unit, "s")
     if scale is None:
         faults.note(line, 1, f'"{unit}" is not a unit of time; known units: {", ".join(alternatives("s"))}')
@@ -539,7 +541,7 @@ def time_scale(faults: Faults, line: int, unit: str) -> float:
 def split_heading(text: str, names: Container[str] = ()) -> tuple[str, str]:
     """Return name and unit of a header cell `name [unit]`.
 
-    Brackets of a known name or an index belong to the name. The unit is "" if absent.
+    Brackets in one of `names`, or around an index, belong to the name. The unit is "" if absent.
     """
     whole = text.strip()
     name, bracket, unit = whole.rpartition("[")
@@ -550,7 +552,7 @@ def split_heading(text: str, names: Container[str] = ()) -> tuple[str, str]:
 
 
 def plain_numbers(values: Array) -> Array:
-    """Return an array as doubles or as integers; unsigned if a value exceeds 63 bits."""
+    """Return an array of numbers as doubles or as 64-bit integers, unsigned if a value requires it."""
     if values.dtype.kind not in "biu":
         return values.astype(np.float64)
     is_beyond = values.dtype.kind == "u" and bool(np.any(values > np.iinfo(np.int64).max))
@@ -567,7 +569,7 @@ def as_text(value: Any) -> str:
 
 @functools.cache
 def sources() -> tuple[Source, ...]:
-    """Return the formats, installed packages last."""
+    """Return all table formats, those of installed packages last."""
     own = [resolve(place) for place in OWN]
     return (*own, *(source for _, source in registered(SOURCES, Source)))
 
@@ -578,9 +580,9 @@ def suffixes() -> tuple[str, ...]:
 
 
 def source_of(path: Path) -> Source:
-    """Return the format of a file by first bytes or suffix.
+    """Return the table format of a file, from its first bytes or its suffix.
 
-    Text with any other suffix is CSV.
+    Text with an unknown suffix is read as CSV.
 
     Raises:
         InputError: The format is unknown.
@@ -598,7 +600,7 @@ def source_of(path: Path) -> Source:
 
 
 def source_named(name: str) -> Source:
-    """Return the format of this name for writing; raise InputError if it is unknown or read-only."""
+    """Return the table format with a name; raise InputError if it is unknown or cannot be written."""
     word = name.lower().removeprefix(".")
     written = [source for source in sources() if source.writes]
     found = [source for source in written if word == source.name.lower() or f".{word}" in source.suffixes]

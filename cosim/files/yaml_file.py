@@ -1,4 +1,4 @@
-"""YAML and JSON with the place of every key and value, validated with all faults at once.
+"""YAML and JSON with line and column of every key and value, and validation that reports all faults at once.
 
 Oversized, deep or unsupported content is rejected. ruamel.yaml parses the text and supplies the messages; long texts
 use the faster libyaml, if installed. Supported are mappings with text keys, lists, text, numbers, true, false and null,
@@ -39,11 +39,11 @@ from cosim.core.units import has_unit, number_in, read_quantity
 from cosim.files.files import open_bytes
 
 DEEPEST = 60  # levels of nesting
-LONG = 20_000  # text length from which loading another parser pays off
-# Directives, tabs, byte order marks and Unicode line ends, on which the parsers disagree.
+LONG = 20_000  # text length [characters] above which the faster parser is worth loading
+# Characters on which the two parsers disagree: directives, tabs, byte order marks and Unicode line ends.
 APART = re.compile("^%|[\\t\\x85\\u2028\\u2029\\ufeff]", re.MULTILINE)
 MOST_YAML = 800_000  # text length [characters] readable within seconds
-MOST_MARKS = 100_000  # commas, colons and lines of YAML, which determine the reading time
+MOST_MARKS = 100_000  # commas, colons and lines of YAML, which determine the time to read a file
 MOST_PARTS = 400_000  # keys and values after expanding aliases
 MERGE, TAG = "<<", "tag:yaml.org,2002:"
 TOO_DEEP = f"is nested more than {DEEPEST} levels deep; use fewer levels"
@@ -59,9 +59,9 @@ NotNegative = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0)]
 
 @dataclass(frozen=True)
 class InUnit:
-    """Type of a number in a unit, or of text such as `4 min`, which is converted to the unit.
+    """Type of a value in a unit: a number, or text such as `4 min`, which is converted.
 
-    Without a unit, text stays until `YamlFile.in_units` converts it.
+    If the unit is not known yet (None), text stays until `YamlFile.in_units` converts it.
     """
 
     unit: str | None
@@ -86,7 +86,7 @@ Seconds = Annotated[Number, InUnit("s")]
 PositiveSeconds = Annotated[Positive, InUnit("s")]
 NotNegativeSeconds = Annotated[NotNegative, InUnit("s")]
 Share = InUnit("1")  # a number, or text such as `5 %`
-UNIT_OF_KEY = InUnit(None)  # The unit is known only from the whole file; a number, or text that waits.
+UNIT_OF_KEY = InUnit(None)  # a number, or text whose unit depends on other parts of the file
 Amount = Annotated[Number, UNIT_OF_KEY]
 PositiveAmount = Annotated[Positive, UNIT_OF_KEY]
 NotNegativeAmount = Annotated[NotNegative, UNIT_OF_KEY]
@@ -96,12 +96,12 @@ MOST_FAULTS = 200  # reported faults per file
 LONGEST = 80  # shown characters of a name or value
 M = TypeVar("M", bound=BaseModel)
 Origin = Callable[[Location, str, int], Fault]
-Remove = Callable[[dict[Any, Any], Sequence[tuple[Location, str]]], None]  # of data, and places and kinds of faults
-ROUNDS = 5  # attempts without faulty parts: the remainder may lack a required key
+Remove = Callable[[dict[Any, Any], Sequence[tuple[Location, str]]], None]  # from data, by place and kind of fault
+ROUNDS = 5  # attempts to remove faulty parts; each attempt may reveal further faults
 
 
 class YamlFile:
-    """A YAML document with the places of its parts; `root` is its data, read-only.
+    """A YAML document with line and column of each part; `root` is the data, which must not be changed.
 
     Args:
         origin: Function that maps a fault of a generated document to its source file.
@@ -124,18 +124,18 @@ class YamlFile:
         self.root, self._within = self.root[key], (*self._within, key)
 
     def place(self, location: Location, key: bool = False) -> tuple[int, int]:
-        """Return line and column of the nearest part at a location.
+        """Return line and column of the part at a location, or of the nearest enclosing part.
 
         Args:
-            key: Whether to return the place of the key instead of the value.
+            key: Return the place of the key instead of the value.
         """
         return self._document.place((*self._within, *location), key)
 
     def fault(self, location: Location, message: str, *, key: bool = False, exit_code: int = 2) -> Fault:
-        """Return a fault at the place where a value was set: an option, the source of a generated file, or the file."""
+        """Return a fault where a value was set: in the file, in the source of a generated file, or by an option."""
         is_missing = location_in(self.root, location, "") != location
         for at, option in reversed(self.overrides.items()):
-            # For a missing part, options that set something inside it count too.
+            # For a missing part, options that set a value inside it count, too.
             if location[: len(at)] == at or (is_missing and at[: len(location)] == location):
                 return Fault(self.path, 0, 0, f"{option}: {message}" if option else message, exit_code)
         if self.origin is not None:
@@ -147,7 +147,7 @@ class YamlFile:
     ) -> tuple[M, list[Fault]]:
         """Return the content with text such as `400 kg` in a section converted to numbers, and faults.
 
-        A faulty value is omitted. Text under an unknown name becomes a number without check, because the name is
+        A faulty value is omitted. Text under an unknown name is converted without a check, because the unknown name is
         reported elsewhere.
 
         Args:
@@ -167,7 +167,7 @@ class YamlFile:
         content = content.model_copy(update={section: numbers})
         try:
             return self.validate(type(content), dict(content)), faults
-        except InputError as error:  # for an out-of-range value
+        except InputError as error:  # an out-of-range value
             return content, [*faults, *error.faults]
 
     def wrong(self, at: Location, value: Any, reason: object, *, key: bool = False) -> Fault:
@@ -176,7 +176,7 @@ class YamlFile:
         return self.fault(at, f"{name} is {format_value(value)}: {text}", key=key)
 
     def validate(self, model: type[M], data: Any = None) -> M:
-        """Return the data, by default the whole, as a pydantic model; raise InputError with all faults."""
+        """Return data (default: the whole file) as an object of a pydantic model; raise InputError with all faults."""
         data = self.root if data is None else data
         try:
             return model.model_validate(data)
@@ -186,15 +186,16 @@ class YamlFile:
     def partly(
         self, model: type[M], first: str = "", *, data: Any = None, remove: Remove | None = None
     ) -> tuple[M, list[Fault]]:
-        """Return the data, by default the whole, as a model without its faulty parts, and the faults.
+        """Return data (default: all) as an object of a pydantic model without its faulty parts, and the faults.
 
-        An unknown top-level key does not affect the other parts, unless it resembles the key `first`, which they need.
+        An unknown top-level key does not affect the other parts, unless it resembles `first`, a key on which the other
+        parts depend.
 
         Args:
-            remove: Function that removes the faulty parts; by default a faulty top-level key is essential.
+            remove: Function that removes the faulty parts. By default no top-level key can be removed.
 
         Raises:
-            InputError: A faulty part is essential, or a faulty top-level key may affect the others.
+            InputError: A faulty part cannot be removed, or a faulty top-level key may affect the others.
         """
 
         def remove_inner(data: dict[Any, Any], places: Sequence[tuple[Location, str]]) -> None:
@@ -215,8 +216,8 @@ class YamlFile:
         raise InputError(faults)
 
     def _faults(self, model: type[BaseModel], error: ValidationError, data: Any) -> list[Fault]:
-        # Of each union, the intended branch counts: one with nested errors fits the form of the value.
-        # If none fits, the first error holds the rest as `else`.
+        # Of a union's branches, the one with errors inside the value is the intended one. If there is none, the first
+        # error counts.
         every: list[Any] = error.errors(include_url=False)
         places = [location_in(data, e["loc"], e["type"]) for e in every]
         parents = {place[:k] for place in places for k in range(len(place))}
@@ -266,12 +267,12 @@ def _text(path: Path) -> str:
         raise InputError.at(path, "no such file") from None
     except OSError as error:
         raise InputError.at(path, f"cannot be read: {error.strerror}") from None
-    except ValueError:  # an impossible file name
+    except ValueError:  # an invalid file name
         raise InputError.at(Path(format_value(str(path))), "no such file") from None
 
 
 def format_value(value: Any) -> str:
-    """Return a value in file notation, shortened if long."""
+    """Return a value as written in a YAML file, shortened if long."""
     if isinstance(value, (str, float)):
         return repr(short(value) if isinstance(value, str) else value)
     if isinstance(value, int) and abs(value) >= 10**LONGEST:
@@ -302,7 +303,8 @@ _FORMS = {"dict_type", "model_type", "list_type", "tuple_type", "string_type", "
 def remove_part(data: dict[Any, Any], location: Location) -> tuple[dict[Any, Any], str | int]:
     """Remove the smallest part at a location and return its parent and key.
 
-    Of a missing key the part that lacks it is removed, and a list is removed whole to keep its indices.
+    For a missing key, the part without the key is removed. A faulty list is removed entirely, so that the indices of
+    its elements stay valid.
     """
     key, *rest = location
     for step in rest:
@@ -316,10 +318,10 @@ def remove_part(data: dict[Any, Any], location: Location) -> tuple[dict[Any, Any
 def location_in(data: Any, places: Sequence[str | int], kind: str) -> Location:
     """Return the location of a fault in the data.
 
-    Pydantic inserts names of union branches, which are not part of the data.
+    Locations of pydantic include names of union branches, which are not part of the data.
 
     Args:
-        kind: Type of the fault; a missing key is absent from the data too.
+        kind: Type of the fault in pydantic; the location of a `missing` key is not in the data.
     """
     location: list[str | int] = []
     for k, part in enumerate(places):
@@ -333,7 +335,7 @@ def location_in(data: Any, places: Sequence[str | int], kind: str) -> Location:
 
 
 def _allowed_keys(annotation: Any, places: Sequence[str | int]) -> list[str]:
-    """Return the allowed keys of the part at a place, whose names may be tags of a union's branches."""
+    """Return the allowed keys of the part at a location, which may include tags of a union's branches."""
     for step in places:
         while get_origin(annotation) is Annotated:
             annotation = get_args(annotation)[0]
@@ -345,7 +347,7 @@ def _allowed_keys(annotation: Any, places: Sequence[str | int]) -> list[str]:
 
 
 def _keys(annotation: Any) -> list[str]:
-    """Return the keys of the first model in an annotation."""
+    """Return the keys of the first pydantic model in an annotation."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return [f.alias or name for name, f in annotation.model_fields.items()]
     return next(filter(None, map(_keys, get_args(annotation))), [])
@@ -371,7 +373,7 @@ class NotYaml(Exception):
 
 @lru_cache(maxsize=1)
 def _libyaml() -> Any:
-    """Return PyYAML's C parser with ruamel.yaml's scalar types, None if absent."""
+    """Return PyYAML's C parser with ruamel.yaml's scalar types, or None if PyYAML is not installed."""
     try:
         loader: Any = import_module("yaml").CLoader
     except (ImportError, AttributeError):
@@ -426,7 +428,9 @@ class Document:
 
     @cached_property
     def _root(self) -> Any:
-        """Root node with id (scalar, sequence, mapping), tag, value and start_mark; a scalar also has a style.
+        """Return the root node.
+
+        A node has id (scalar, sequence, mapping), tag, value and start_mark; a scalar also has a style.
 
         The node of an empty document is None.
         """
@@ -440,18 +444,18 @@ class Document:
             raise NotYaml(TOO_DEEP) from None
         except (YAMLError, ValueError, IndexError, TypeError, AttributeError, AssertionError, OverflowError) as error:
             told = " ".join(filter(None, (getattr(error, "context", None), getattr(error, "problem", None))))
-            if not told and isinstance(error, YAMLError):  # other errors are defects of ruamel.yaml's scanner
+            if not told and isinstance(error, YAMLError):  # other errors are bugs of ruamel.yaml
                 told = str(error).partition("\n")[0]
             mark = getattr(error, "problem_mark", None) or getattr(error, "context_mark", None)
             raise NotYaml(f"is not YAML: {' '.join(told.split())[:200] or 'it cannot be parsed'}", mark) from None
 
     def place(self, location: Location, key: bool = False) -> Place:
-        """Return line and column of the nearest part at a location.
+        """Return line and column of the part at a location, or of the nearest enclosing part.
 
-        The result is UNKNOWN for JSON that is too large to search or no YAML.
+        The result is UNKNOWN for JSON that is too large to search or is not valid YAML.
 
         Args:
-            key: Whether to return the place of the key instead of the value.
+            key: Return the place of the key instead of the value.
         """
         if self._is_json and self._is_large:
             return UNKNOWN
@@ -503,11 +507,11 @@ class Document:
             raise NotYaml(f'"{text[:30]}" is not a number', node.start_mark) from None
 
 
-document_of = lru_cache(maxsize=2)(Document)  # cached: a file is parsed for its kind first, and again for its content
+document_of = lru_cache(maxsize=2)(Document)  # cached, because a file is parsed for its kind and again for its content
 
 
 def _pairs(node: Any) -> dict[str, tuple[Any, Any]]:
-    """Return key → (key node, value node) of a mapping with its merged keys; the node's value is replaced by them."""
+    """Return key → (key node, value node) of a mapping, merged keys included; store these pairs as the node's value."""
     entries = node.value
     if isinstance(entries, dict):
         return entries

@@ -1,4 +1,4 @@
-"""The model description of an FMU, read with tolerance for schema violations, and checks whether the FMU can run."""
+"""Model descriptions of FMUs, also with schema violations, and checks of whether an FMU can run."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ PLAIN = ("RuntimeError", "ValueError", "ArithmeticError", "Exception")
 
 
 def reason_of(error: Exception) -> str:
-    """Return FMPy's error in one line, without Python jargon."""
+    """Return FMPy's error in one line, without terms of Python."""
     if isinstance(error, (TypeError, AttributeError, LookupError, UnboundLocalError, ArithmeticError)):
         return "a required element or attribute of its modelDescription.xml is missing or misplaced"
     if isinstance(error, ValueError):
@@ -38,7 +38,7 @@ def reason_of(error: Exception) -> str:
 
 
 def check_numbers(path: Path, version: str) -> None:
-    """Raise FmuError for text in place of a number. Only descriptions with schema violations need this check."""
+    """Raise FmuError for text in place of a number; needed only for descriptions with schema violations."""
     root = ElementTree.fromstring(description_of(path))
     for node in (node for section in SECTIONS for part in root.iterfind(section) for node in part.iter()):
         is_start = version == "1.0" and node.tag in {"Real", "Integer", "Enumeration"}
@@ -54,7 +54,7 @@ def check_numbers(path: Path, version: str) -> None:
 
 
 def without_wrapping(words: str) -> str:
-    """Return the message of a Python exception without the text that pythonfmu adds."""
+    """Return the message of an exception in a Python FMU without the text that pythonfmu adds to it."""
     match = WRAPPED.match(words)
     if match is None:
         return words
@@ -63,11 +63,11 @@ def without_wrapping(words: str) -> str:
 
 
 def validation(path: Path, description: Any) -> list[str]:
-    """Return FMPy's messages on variable names and model structure of a description that has been read."""
+    """Return FMPy's messages on the variable names and model structure of a parsed description."""
     import fmpy
     from fmpy.model_description import ValidationError
 
-    # FMPy's parser needs some milliseconds for a name.
+    # limited, since FMPy's parser needs milliseconds per name
     names = not all(PLAIN_NAME.fullmatch(v.name) for v in description.modelVariables)
     try:
         fmpy.read_model_description(str(path), validate_variable_names=names, validate_model_structure=True)
@@ -148,7 +148,7 @@ def read_description(path: Path) -> Any:
 
 
 def slips_of(description: Any) -> tuple[str, ...]:
-    """Return the tolerated violations of FMI's schema or rules."""
+    """Return messages on violations of FMI's schema or rules that cosim accepts."""
     return _slips.get(description, ())
 
 
@@ -163,7 +163,7 @@ def ways(description: Any) -> tuple[Way, ...]:
 def state_names(description: Any) -> list[str]:
     """Return the names of the continuous states.
 
-    FMI 1.0 does not list states; here each x with a variable der(x) counts.
+    FMI 1.0 does not list states. In FMI 1.0, a variable x counts as a state if there is a variable der(x).
     """
     if description.fmiVersion != "1.0":
         derivatives = (unknown.variable.derivative for unknown in description.derivatives)
@@ -173,7 +173,7 @@ def state_names(description: Any) -> list[str]:
 
 
 def takes_any_step(description: Any) -> bool:
-    """Return True if communication steps may have any length."""
+    """Return True if the FMU accepts communication steps of any length."""
     cosimulation = description.coSimulation
     return cosimulation is None or bool(cosimulation.canHandleVariableCommunicationStepSize)
 
@@ -187,14 +187,14 @@ def declares_slopes(path: Path, way: Way) -> bool:
 
 
 def platform_of(description: Any) -> str:
-    """Return this platform's name in the FMU's version."""
+    """Return the name of this machine's platform in the FMU's version of FMI."""
     import fmpy
 
     return str(fmpy.platform_tuple if description.fmiVersion.startswith("3") else fmpy.platform)
 
 
 def platforms_among(names: Sequence[str]) -> list[str]:
-    """Return the platforms of an FMU by its file names. The list ends with `c-code` if C or C++ sources exist."""
+    """Return the platforms of an FMU by its file names. `c-code`, for C or C++ sources, is last."""
     parts = (n.removeprefix(PLATFORMS).partition("/") for n in names if n.startswith(PLATFORMS))
     platforms = {platform for platform, _, file in parts if file.endswith(LIBRARIES)}
     sources = any(n.startswith(SOURCES) and n.lower().endswith((*C, *CPP)) for n in names)
@@ -202,7 +202,7 @@ def platforms_among(names: Sequence[str]) -> list[str]:
 
 
 def no_library(here: str, platforms: Sequence[str]) -> str:
-    """Return a message on a missing library, with remedy."""
+    """Return a message that an FMU has no library for this platform, with the cure."""
     others = ", ".join(p for p in platforms if p != C_CODE)
     text = f"it has no library for {here}{f', only for {others}' if others else ' or another platform'}"
     if C_CODE in platforms:
@@ -211,17 +211,17 @@ def no_library(here: str, platforms: Sequence[str]) -> str:
 
 
 def library_file(folder: Path, description: Any, identifier: str) -> Path:
-    """Return the library's standard path on this platform."""
+    """Return the path that FMI prescribes for the library on this platform."""
     import fmpy
 
     return folder / "binaries" / platform_of(description) / f"{identifier}{fmpy.sharedLibraryExtension}"
 
 
 def library_of(folder: Path, description: Any, identifier: str) -> tuple[Path, str] | None:
-    """Return the library for this platform, and a warning if its file name is unexpected.
+    """Return the library for this platform, and a warning if its file name is not the prescribed one.
 
     Raises:
-        FmuError: Several libraries with unexpected names exist.
+        FmuError: There are several libraries, none with the prescribed name.
     """
     library = library_file(folder, description, identifier)
     if library.is_file():
@@ -247,7 +247,7 @@ def matches(pattern: str, component: str, variable: str) -> bool:
 
 
 def unit_definition(description: Any, unit: str | None) -> tuple[float, ...] | None:
-    """Return the SI exponents, factor and offset of a unit defined by the FMU."""
+    """Return the SI exponents, factor and offset of a unit that the FMU defines; otherwise None."""
     for definition in description.unitDefinitions:
         if definition.name == unit and definition.baseUnit is not None:
             base = definition.baseUnit
@@ -262,7 +262,7 @@ def enumeration_items(variable: Any) -> dict[str, int]:
 
 
 def _inherited(variable: Any, attribute: str) -> Any:
-    """Return an attribute of a variable, otherwise that of its type."""
+    """Return an attribute of a variable; if the variable does not declare it, that of its type."""
     return getattr(variable, attribute) or getattr(variable.declaredType, attribute, None)
 
 
@@ -273,17 +273,17 @@ def is_difference(variable: Any) -> bool:
 
 
 def unit_of(variable: Any) -> str:
-    """Return the unit of a variable or its type."""
+    """Return the unit of a variable or of its type; "" if there is none."""
     return str(_inherited(variable, "unit") or "")
 
 
 def display_unit_of(variable: Any) -> str:
-    """Return the display unit of a variable or its type; "" if it has none."""
+    """Return the display unit of a variable or of its type; "" if there is none."""
     return str(_inherited(variable, "displayUnit") or "")
 
 
 def display_units(descriptions: Iterable[Any]) -> dict[str, tuple[str, float, float]]:
-    """Return each unit's display unit as name, factor and offset: displayed value = factor·value + offset.
+    """Return unit → (name of the display unit, factor, offset): displayed value = factor·value + offset.
 
     A unit is left out if its variables declare different display units.
     """
@@ -302,7 +302,7 @@ def display_units(descriptions: Iterable[Any]) -> dict[str, tuple[str, float, fl
 
 
 def states_of(description: Any) -> list[Any]:
-    """Return the continuous states, ordered as the derivatives.
+    """Return the variables of the continuous states, in the order of the derivatives.
 
     The list is empty if the FMU does not declare them.
     """
@@ -311,9 +311,10 @@ def states_of(description: Any) -> list[Any]:
 
 
 def name_states(path: Path, description: Any, references: Sequence[int]) -> None:
-    """Add derivatives of named states to an FMI 1.0 description.
+    """Add the derivatives of states that have variables to an FMI 1.0 description.
 
-    Aliases share a value reference, and a negated alias has the opposite sign. Therefore the variable itself is used.
+    The variable itself is used, not an alias, because a negated alias shares its value reference but has the opposite
+    sign.
     """
     from fmpy.model_description import ModelVariable, Unknown
 
@@ -328,16 +329,16 @@ def name_states(path: Path, description: Any, references: Sequence[int]) -> None
 
 
 def reals(description: Any, causality: str) -> list[Any]:
-    """Return the real outputs or the continuous real inputs, by `causality`."""
+    """Return the variables of the real outputs or of the continuous real inputs, by `causality`."""
     variables = [v for v in description.modelVariables if v.causality == causality and v.type in REALS]
     return [v for v in variables if causality != "input" or v.variability in (None, "continuous")]
 
 
 def scalars(variables: Sequence[Any]) -> tuple[str, ...]:
-    """Return the element names of variables."""
+    """Return the names of the scalar elements of variables."""
     return tuple(name for v in variables for name in element_names(v))
 
 
 def units_of(variables: Sequence[Any]) -> dict[str, str]:
-    """Return the units of variables, by element name."""
+    """Return element name → unit of variables."""
     return {name: unit_of(v) for v in variables for name in element_names(v)}

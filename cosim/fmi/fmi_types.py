@@ -17,10 +17,10 @@ class FmiType:
     """An FMI type in C.
 
     Attributes:
-        function: Suffix of its functions fmi2Get… and fmi2Set….
+        function: Suffix of the functions fmi2Get… and fmi2Set….
         low: Smallest value; an integer for a type of whole numbers.
         high: Largest value.
-        beside: True if values are stored outside the row of doubles, which cannot represent them exactly.
+        beside: True if values are stored outside the row of doubles, because doubles cannot represent them exactly.
     """
 
     function: str
@@ -40,7 +40,7 @@ class FmiType:
         return {"String": "", "Binary": b""}.get(self.function, 0)
 
     def encode(self, value: Any) -> Any:
-        """Return a value as C expects it for this FMI type; raise ValueError if the type cannot hold it."""
+        """Return a value as C expects it for this FMI type; raise ValueError if it is outside the type."""
         if self.function == "String":
             return value.encode() if isinstance(value, str) else value
         if self.function == "Binary":
@@ -57,7 +57,7 @@ class FmiType:
 
 
 def _integer(bits: int, sign: str = "") -> FmiType:
-    """Return an integer type; unsigned with the sign U."""
+    """Return an integer type; `sign` is "U" for an unsigned one."""
     ctype, high = getattr(ctypes, f"c_{sign.lower()}int{bits}"), 2 ** (bits if sign else bits - 1) - 1
     return FmiType(f"{sign}Int{bits}", ctype, 0 if sign else -high - 1, high, beside=bits == 64)
 
@@ -88,9 +88,9 @@ FAMILIES = {
     "String": "text",
     "Binary": "binary",
     "Clock": "clock",
-    "": "number",  # type of a reference or a recording; its values decide whether it fits
+    "": "number",  # type of a reference signal or a recording, whose values decide to which inputs it can be connected
 }
-FLOWS = {  # allowed connections, without loss of values
+FLOWS = {  # type of an output → types of inputs that accept its values without loss
     "real": {"real"},
     "whole": {"whole", "real"},
     "boolean": {"boolean", "whole", "real"},
@@ -107,23 +107,24 @@ def kinds_of(version: str) -> dict[str, FmiType]:
 
 
 def is_compatible(source: str, target: str) -> bool:
-    """Return True if an output type may feed an input type."""
+    """Return True if an output of type `source` may be connected to an input of type `target`."""
     return FAMILIES.get(target) in FLOWS.get(FAMILIES.get(source, "?"), ())
 
 
 class Exchange:
-    """Variables of one type, read or written in a single call; all or none of them are negated aliases of FMI 1.0.
+    """Variables of one type, which a single call reads or writes; either all or none are negated aliases of FMI 1.0.
 
     Attributes:
-        clocks: Clocks at whose ticks the values are exchanged; none for other variables.
-        names: Names of the scalars; an array of FMI 3.0 has several.
+        clocks: Clocks at whose ticks the values are exchanged; empty for variables without clock.
+        names: Names of the scalars; an array of FMI 3.0 consists of several scalars.
         places: Indices of the scalars in the row, or in the storage beside the row.
         is_direct: True if the FMU reads and writes the row itself, as for doubles; other types use a buffer.
-        finite: Number of leading values that are floating-point outputs, which must be finite.
-        judged: Indices of these values.
+        finite: Number of floating-point outputs, which are the first values and must be finite.
+        judged: Indices of these outputs in the row.
         buffer: Buffer of the values in transfer; for binary data a list of bytes, which FMPy sets and reads.
         arguments: Arguments of the FMI function after the instance; the last one only in FMI 3.0.
-        set, get: Functions that copy the buffer to an instance and back, and return the FMI status.
+        set, get: Functions that copy the buffer to the instance or fill it from the instance, and return the FMI
+            status.
     """
 
     set: Any
@@ -145,7 +146,7 @@ class Exchange:
             self.move_by((kind.ctype * self.count)())
 
     def move_by(self, buffer: Any) -> None:
-        """Set the memory that the FMU reads and writes."""
+        """Set the memory from which the FMU reads values, and into which it writes them."""
         self.buffer = buffer
         self.arguments = ctypes.addressof(self.vrs), len(self.vrs), ctypes.addressof(buffer), self.count
 
@@ -159,7 +160,7 @@ class Exchange:
         return [negative(self.kind.function, value) for value in values] if self.negated else values
 
     def encode(self, values: Sequence[Any]) -> None:
-        """Put values into the buffer; raise ValueError, with the variable's name, for a value outside the type."""
+        """Put values into the buffer; raise ValueError, with the variable's name, for values outside the type."""
         for k, (name, value) in enumerate(zip(self.names, values, strict=True)):
             try:
                 self.buffer[k] = self.kind.encode(negative(self.kind.function, value) if self.negated else value)
@@ -168,7 +169,9 @@ class Exchange:
 
 
 def elements(kind: FmiType, variable: Any, value: Any) -> list[Any]:
-    """Return the scalars of a variable's value, given by the user or by the description, as they are stored in a row.
+    """Return the scalars of a variable's value, as the row stores them.
+
+    The value is from the user or from the model description.
 
     Raises:
         TypeError: The value is missing.
@@ -199,12 +202,12 @@ def as_bytes(value: Any) -> bytes:
 
 
 def is_negated(variable: Any) -> bool:
-    """Return True if a variable is a negated alias of FMI 1.0; see `unread_attributes`."""
+    """Return True if a variable is a negated alias of FMI 1.0."""
     return getattr(variable, "negated", False)
 
 
 def input_aliases(description: Any) -> dict[str, dict[str, bool]]:
-    """Return input → its aliases among the inputs; the value of an alias is True if its sign is negated."""
+    """Return input → alias among the inputs → True if the alias has the opposite sign."""
     groups: dict[tuple[str, int], list[Any]] = {}
     for v in description.modelVariables:
         if v.causality == "input" and not v.shape:
@@ -218,12 +221,12 @@ def input_aliases(description: Any) -> dict[str, dict[str, bool]]:
 
 
 def negative(kind: str, value: Any) -> Any:
-    """Convert between the value of a negated alias and the value of its value reference."""
+    """Convert a value of a negated alias to the value of its value reference, or back."""
     return (1 if kind == "Boolean" else 0) - value
 
 
 def element_names(variable: Any) -> list[str]:
-    """Return the names of a variable's scalars. An array has `name[1,2]` for each element."""
+    """Return the names of a variable's scalars: `name[1,2]` and so on for an array."""
     if not variable.shape:
         return [variable.name]
     indices = itertools.product(*(range(1, n + 1) for n in variable.shape))

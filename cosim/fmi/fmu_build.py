@@ -1,7 +1,7 @@
-"""FMU builds: sources in a uniquely named package, beside those of pythonfmu, byte-reproducible.
+"""Building of Python FMUs by pythonfmu. Equal inputs give equal bytes.
 
-All Python FMUs of a process share `sys.modules`. Each of cosim's FMUs therefore carries its sources in a package whose
-name is a hash of their content, so FMUs do not import modules of each other or of the host.
+All Python FMUs of a process share `sys.modules`. cosim therefore puts the sources of an FMU into a package whose name
+is a hash of their content, so that an FMU does not import modules of another FMU or of the host.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ from cosim.model.model import Model
 from cosim.model.traits import Traits
 
 FRAMEWORK = "cosim"
-CARRIED_PACKAGES = ("cosim.model", "cosim.fmi")  # rooms that need only the standard library
-EXCLUDED_PACKAGE = "cosim.model.symbolic"  # imported at build time only
+CARRIED_PACKAGES = ("cosim.model", "cosim.fmi")  # copied into FMUs; need no other library
+EXCLUDED_PACKAGE = "cosim.model.symbolic"  # not copied, because it is needed only while an FMU is built
 SCRIPT_MODULES = ("cosim.fmi.lifetime", "cosim.fmi.ports")  # imported by the script of pythonfmu
 OWN_MODULE = "own_model"  # module name of a user's model inside its FMU
 EPOCH = (1980, 1, 1, 0, 0, 0)
@@ -36,13 +36,13 @@ class Recipe:
 
     Attributes:
         slave: Module and class of the FMI slave.
-        packages: Top-level packages whose modules the FMU carries, if its slave imports them.
+        packages: Top-level packages. The FMU contains those of their modules that its slave imports.
         about: Content of the model description.
         text: Documentation in HTML.
         values: Parameter defaults that differ from the declared ones.
-        own: File and class of a user's model.
-        printed: Modules generated at build time: dotted name, source code.
-        starts: Start values that replace those of a slave without model.
+        own: File and class name of a user's model, if any.
+        printed: Modules generated for the FMU: dotted name → source code.
+        starts: Start values that replace the declared ones, for a slave without a model.
     """
 
     slave: tuple[str, str]
@@ -57,7 +57,7 @@ class Recipe:
     starts: tuple[tuple[str, Value], ...] = ()
 
     def with_starts(self, values: Mapping[str, Value]) -> Recipe:
-        """Return the recipe of the same FMU with other start values of its variables."""
+        """Return the recipe with other start values of the FMU's variables."""
         about = replace(self.about, ports=with_starts(self.about.ports, values))
         return replace(self, about=about, starts=tuple(sorted(values.items())))
 
@@ -65,8 +65,8 @@ class Recipe:
 def model_recipe(model: Model, file: Path, values: Mapping[str, float | bool] | None = None) -> Recipe:
     """Return the recipe of a user's model.
 
-    The FMU carries `file`. Further packages imported by the file, apart from `cosim.model` and the standard library,
-    must be installed on the machine that runs the FMU.
+    The FMU contains `file`. If the file imports packages other than `cosim.model` and the standard library, they must
+    be installed on the machine that runs the FMU.
 
     Args:
         file: Python file of the model class.
@@ -89,7 +89,7 @@ def about_model(model: Model, text: str) -> Description:
 
 
 def build(recipe: Recipe, path: Path) -> Path:
-    """Write an FMU completely or not at all, byte-reproducible."""
+    """Write an FMU completely or not at all. The same recipe gives the same bytes."""
     import pythonfmu
     from pythonfmu._version import __version__ as version
 
@@ -128,12 +128,12 @@ def build(recipe: Recipe, path: Path) -> Path:
 
 
 def _package(recipe: Recipe, class_name: str) -> tuple[str, dict[str, bytes]]:
-    """Return the name of an FMU's Python package, with a hash of its files, and the files with the slave's script."""
+    """Return the name of the FMU's Python package (with a hash of its files) and the files, with the slave's script."""
     sources, module = dict(_sources(recipe)), recipe.slave[0]
     identity = recipe.slave, class_name, recipe.values, recipe.substep, recipe.integrator, recipe.starts
     tag = digest(sources, repr(identity).encode())[:12]
     package = f"{re.sub(r'(?<!^)(?=[A-Z])', '_', class_name).lower()}_{tag}"
-    # imports of the framework and of carried packages, redirected to the FMU's own package
+    # imports of cosim's packages, which become imports of the FMU's own package
     names = "|".join((FRAMEWORK, *recipe.packages))
     whole, replacement = rf"^(\s*)import (({names})(?:\.\w+)*)$", rf"\1import {package}.\2; from {package} import \3"
     members = {}
@@ -162,7 +162,7 @@ def _package(recipe: Recipe, class_name: str) -> tuple[str, dict[str, bytes]]:
 
 
 def _sources(recipe: Recipe) -> Iterator[tuple[str, bytes]]:
-    """Yield path and content of each imported module."""
+    """Yield path and content of each module that the FMU imports."""
     printed = dict(recipe.printed)
     if recipe.own:
         yield f"{OWN_MODULE}.py", recipe.own[0].read_bytes()
@@ -178,11 +178,11 @@ def _sources(recipe: Recipe) -> Iterator[tuple[str, bytes]]:
             modules[name] = (f"{name.replace('.', '/')}.py", printed[name].encode())
             continue
         spec = None
-        with suppress(ModuleNotFoundError):  # an object in a module
+        with suppress(ModuleNotFoundError):  # the name is an object in a module
             spec = find_spec(name)
         if spec is not None and spec.origin is not None:
             path = f"{name.replace('.', '/')}{'/__init__' if spec.submodule_search_locations is not None else ''}.py"
-            # The __init__ of the framework is the command line, which an FMU does not need.
+            # The __init__ of `cosim` is replaced: it contains the functions of the verbs.
             modules[name] = (path, b"" if name == FRAMEWORK else Path(spec.origin).read_bytes())
             queue += [*_imports(modules[name][1]), name.rpartition(".")[0]]
     yield "__init__.py", b""
@@ -190,7 +190,7 @@ def _sources(recipe: Recipe) -> Iterator[tuple[str, bytes]]:
 
 
 def _imports(source: bytes) -> Iterator[str]:
-    """Yield the imported modules; a name imported from a package may be a module too."""
+    """Yield the names of the modules that a source imports, and of objects imported from them."""
     for node in ast.walk(ast.parse(source)):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
@@ -200,21 +200,21 @@ def _imports(source: bytes) -> Iterator[str]:
 
 
 def archive_member(name: str) -> zipfile.ZipInfo:
-    """Return the ZIP entry of a member with a fixed date and fixed permissions."""
+    """Return the ZIP entry of a member, with a fixed date and fixed permissions for reproducible bytes."""
     info = zipfile.ZipInfo(name, EPOCH)
     info.compress_type, info.external_attr = zipfile.ZIP_DEFLATED, 0o644 << 16
     return info
 
 
 def write_zip(path: Path, members: dict[str, bytes]) -> None:
-    """Write a ZIP archive whose bytes depend on its members only."""
+    """Write a ZIP archive; equal members give equal bytes."""
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as packed:
         for name in sorted(members):
             packed.writestr(archive_member(name), members[name])
 
 
 def digest(members: dict[str, bytes], more: bytes) -> str:
-    """Return the SHA-256 of names and contents, and of the bytes in `more`."""
+    """Return the SHA-256 of the names and contents of members and of `more`."""
     sha = hashlib.sha256()
     for name in sorted(members):
         sha.update(f"{name}\0{len(members[name])}\0".encode())

@@ -3,8 +3,8 @@
 pythonfmu runs the slave's script at import and again at every instantiation. It then releases the module's dictionary
 without owning a reference: the dictionary is freed while in use, and the host crashes at a later garbage collection or
 at exit. The Linux library also releases its interpreter guard twice at process end, the second time in freed memory,
-which sometimes aborts a finished host. An additional reference makes both releases harmless. cosim's FMUs take it in
-any Python host; `cosim` takes it for any FMU.
+which sometimes aborts a finished host. An additional reference to each object makes both releases harmless. FMUs built
+by cosim take this reference in any Python host, and `cosim` takes it for every FMU.
 """
 
 from __future__ import annotations
@@ -22,17 +22,17 @@ _libraries: set[Path] = set()
 
 
 def keep(module: dict[str, Any], names: Mapping[str, Any]) -> None:
-    """Protect the module's dictionary; called by the slave's script.
+    """Take an additional reference to the module's dictionary. The slave's script calls this function.
 
     Args:
         module: The script's `globals()`.
         names: The script's `locals()`.
     """
-    if names is not module:  # an instantiation, not the import
+    if names is not module:  # true at an instantiation, false at the import
         ctypes.pythonapi.Py_IncRef(ctypes.py_object(module))
-        # An interpreter started by the library itself has no command line, and the guard ends it.
+        # If the library itself has started the interpreter, it also ends the interpreter: nothing to do.
         if sys.orig_argv:
-            # The library has just inserted its resources; the module may come from another extraction.
+            # The library has inserted its resources first in sys.path; the module may be from another extraction.
             let_go_at_exit(Path(sys.path[0]).parent)
 
 
@@ -45,5 +45,5 @@ def let_go_at_exit(folder: Path) -> None:
         try:
             library = ctypes.CDLL(str(file), mode=os.RTLD_NOLOAD | os.RTLD_LAZY)
             atexit.register(getattr(library, KEEPER))
-        except (OSError, AttributeError):  # loaded from elsewhere, or by a pythonfmu without keeper
+        except (OSError, AttributeError):  # the library was loaded from another folder, or its pythonfmu has no guard
             continue

@@ -28,7 +28,7 @@ SWITCHES = (
     "<p>Parameters with a dot, <code>effect.parameter</code>, switch on effects that the base model lacks. At their\n"
     "start value an effect is off and takes no time.</p>"
 )
-OF_FMI = ("input", "output", "parameter")  # causalities; other variables are local
+OF_FMI = ("input", "output", "parameter")  # causalities of FMI; other causalities of a Port become `local`
 KINDS3 = {"Real": "Float64", "Boolean": "Boolean", "String": "String"}
 
 
@@ -51,7 +51,7 @@ class Description:
     sampled: str = ""
 
 
-# FMI's structured names without quotes: names joined by dots, perhaps with indices, or the derivative of such a name
+# FMI's structured names without quotes: names joined by dots, perhaps with indices, or der(…) of such a name
 _PART = r"[A-Za-z_][A-Za-z0-9_]*(\[\d+(,\d+)*\])?"
 STRUCTURED = re.compile(rf"{_PART}(\.{_PART})*|der\({_PART}(\.{_PART})*\)", re.ASCII)
 
@@ -71,8 +71,9 @@ def describe(
     """Return modelDescription.xml of FMI 2.0 or 3.0.
 
     Args:
-        tool: Generation tool. Native FMUs are those of cosim itself; FMI 2.0 lists their `all.c` as source file.
-        interfaces: Tag → attributes.
+        tool: Generation tool. For a native FMU it is cosim itself, and in FMI 2.0 `all.c` is then listed as source
+            file.
+        interfaces: Element of the interface → its attributes.
         categories: Log category → meaning.
         locals: Variables of native FMUs.
         dependencies: Dependencies of outputs and derivatives; by default those of `about`.
@@ -109,7 +110,7 @@ def describe(
         annotations.append(node := Element("Sampled", parameter=about.sampled))
         if optional := " ".join(port.name for port in about.ports if port.optional):
             node.set("optional", optional)
-    for annotation in annotations if fmi == 2 else ():  # FMI demands a single element in each
+    for annotation in annotations if fmi == 2 else ():  # FMI 2.0 requires a single element in each annotation
         SubElement(SubElement(root, "VendorAnnotations"), "Tool", name=TOOL).append(annotation)
     root.append(model_variables(variables, fmi))
     root.append(model_structure(variables, dependencies or about.dependencies, about.initial_dependencies, fmi))
@@ -134,13 +135,13 @@ def set_unit_and_limits(node: Element, unit: str, bounds: tuple[float, float] = 
 
 
 def model_variables(variables: Sequence[Port], fmi: int) -> Element:
-    """Return ModelVariables, without event indicators in FMI 2.0."""
+    """Return ModelVariables; event indicators are included in FMI 3.0 only."""
     root = Element("ModelVariables")
-    if fmi == 3:  # FMI 3.0 requires the time.
+    if fmi == 3:  # FMI 3.0 requires time as a variable
         reference = str(len(variables))
         head = {"name": "time", "valueReference": reference, "causality": "independent", "variability": "continuous"}
         SubElement(root, "Float64", head)
-    states = iter([k for k, v in enumerate(variables) if v.causality == "state"])  # in the order of the derivatives
+    states = iter([k for k, v in enumerate(variables) if v.causality == "state"])  # ordered as the derivatives
     for k, v in enumerate(variables):
         if v.causality == "indicator" and fmi == 2:
             continue
@@ -157,7 +158,7 @@ def model_variables(variables: Sequence[Port], fmi: int) -> Element:
         if v.kind == "Real":
             set_unit_and_limits(node, v.unit, v.bounds)
         if v.causality == "derivative":
-            node.set("derivative", str(next(states) + (fmi == 2)))  # FMI 2.0 counts variables from 1.
+            node.set("derivative", str(next(states) + (fmi == 2)))  # FMI 2.0 counts variables from 1
         if v.causality not in ("input", "parameter"):
             continue
         start = v.start
@@ -232,13 +233,13 @@ def documentation(about: Description, text: str, guid: str, way: str) -> dict[st
 
 
 def sampled_by(fmu: Path) -> str | None:
-    """Return the name of an FMU's parameter with its only accepted communication step, if any."""
+    """Return the name of the parameter whose value is the only accepted communication step; None for any step."""
     node = _own_annotation(fmu, "Sampled")
     return None if node is None else node.get("parameter")
 
 
 def optional_inputs(fmu: Path) -> frozenset[str]:
-    """Return the inputs of a cosim FMU that may stay unconnected."""
+    """Return the inputs of an FMU built by cosim that may stay unconnected without a warning."""
     node = _own_annotation(fmu, "Sampled")
     return frozenset() if node is None else frozenset(node.get("optional", "").split())
 

@@ -13,12 +13,12 @@ from cosim.model.model import Model
 
 
 class ModelSlave(Slave):
-    """A `cosim.model.model.Model` as a slave. Effects that are dormant after initialization are omitted."""
+    """A `cosim.model.model.Model` as a slave. Effects that are dormant at initialization are left out."""
 
     model: ClassVar[Model]
 
     def initialize(self, values: dict[str, Value]) -> None:
-        """Build the model from the values set by the host and the defaults."""
+        """Build the model from the defaults and the values that the host has set."""
         starts = {name.removesuffix("_start"): v for name, v in values.items() if name.endswith("_start")}
         signals = {q.name for q in self.model.inputs}
         model = self.model.with_values(
@@ -40,7 +40,7 @@ class ModelSlave(Slave):
         moment = Moment(t, self.moment.state, self.moment.memory)
         try:
             self.moment = self.stepper.step(moment, self.inputs, h)
-        except (ArithmeticError, ValueError) as error:  # e.g. math.sin of infinity, or an overflow
+        except (ArithmeticError, ValueError) as error:  # e.g. sine of infinity, or an overflow
             model = self.stepper.model
             quantities = [*zip(model.inputs, self.inputs, strict=True), *zip(model.states, moment.state, strict=True)]
             largest, value = max(((q.name, v) for q, v in quantities), key=lambda pair: abs(pair[1]))
@@ -57,5 +57,5 @@ class ModelSlave(Slave):
         return [self.moment.t, self.moment.state, self.moment.memory]
 
     def restore(self, snapshot: Any) -> None:
-        """Restore a snapshot bit for bit."""
+        """Restore a snapshot exactly."""
         self.moment = Moment(*tuples(snapshot))

@@ -19,8 +19,9 @@ class Port:
     """An FMI variable; its index in the tuple of ports is its value reference.
 
     Attributes:
-        causality: FMI causality; for a local variable of a native FMU, its role (state, derivative, memory, …).
-        optional: True if the input may stay unconnected without record or warning.
+        causality: FMI causality; for a local variable of a native FMU, the role of the variable (state, derivative,
+            memory, …).
+        optional: True if the input may stay unconnected without a warning and without an entry in the manifest.
     """
 
     name: str
@@ -38,12 +39,12 @@ class Port:
 
 
 def parameter_port(p: Parameter, start: Value, prefix: str = "") -> Port:
-    """Return the FMU variable of a model parameter, with its start value."""
+    """Return the FMU variable for a model parameter, with a start value."""
     return Port(prefix + p.name, "parameter", start, p.unit, p.doc, p.bounds)
 
 
 def with_starts(ports: Iterable[Port], values: Mapping[str, Value]) -> tuple[Port, ...]:
-    """Return ports with other start values, by name."""
+    """Return ports with the start values that `values` has under their names."""
     return tuple(replace(port, start=values.get(port.name, port.start)) for port in ports)
 
 

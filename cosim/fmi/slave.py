@@ -1,7 +1,7 @@
 """Base class of FMI slaves in Python: variables, phases, checks and state.
 
-pythonfmu turns an exception into fmi2Fatal with the exception's text in the log. Other failures become a Discard,
-which most hosts ignore. Checks therefore raise exceptions.
+Checks raise exceptions, because pythonfmu reports an exception as fmi2Fatal with the exception's text in the log. It
+reports any other failure as fmi2Discard, which most hosts ignore.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ TYPES = {"Real": Real, "Boolean": Boolean, "String": String}
 
 
 def tuples(value: Any) -> Any:
-    """Return nested lists as nested tuples: JSON has no tuples, and integrators need them."""
+    """Return nested lists, which come from JSON, as nested tuples, which integrators need."""
     return tuple(map(tuples, value)) if isinstance(value, (list, tuple)) else value
 
 
@@ -36,14 +36,14 @@ def loggable() -> Iterator[None]:
 
 
 class Slave(Fmi2Slave):  # type: ignore[misc]  # pythonfmu is untyped
-    """FMU in Python, its variables stored by value reference.
+    """An FMU in Python, whose variables are stored by value reference.
 
     Subclasses provide `ports` and four methods:
 
         initialize(values): Initialize from values set by the host, and write the outputs. Called after every change of
-            a value.
+            a value by the host.
         advance(t, h): Step from `t` to `t + h` [s] with constant inputs, and write the outputs.
-        snapshot(): Return the state beyond the variables' values as JSON types.
+        snapshot(): Return the state, apart from the values of variables, as JSON types.
         restore(snapshot): Restore the state from a snapshot.
     """
 
@@ -52,21 +52,21 @@ class Slave(Fmi2Slave):  # type: ignore[misc]  # pythonfmu is untyped
     def __init__(self, **kwargs: Any) -> None:
         super().__init__(**kwargs)
         self.modelName = type(self).__name__
-        # The module name contains the content's hash, so states of other builds are recognised.
+        # contains a hash of the sources, by which states of another build are detected
         self.identity = f"{type(self).__module__}.{self.modelName}"
         self.values: list[Value] = [p.start for p in self.ports]
         self.host_values: set[int] = set()
         self.phase = INSTANTIATED
         self.current = False
-        self.is_stale = False  # whether inputs have changed since outputs were computed
+        self.is_stale = False  # True if inputs have changed since the outputs were computed
         self.start_time = 0.0
         self.input_count = sum(p.causality == "input" for p in self.ports)
         self.output_slice = slice(self.input_count, self.input_count + sum(p.causality == "output" for p in self.ports))
-        for port in self.ports:  # The model description is written from the ports.
+        for port in self.ports:  # types only; the model description is written from the ports
             self.register_variable(TYPES[port.kind](port.name), nested=False)
 
     def follow_inputs(self) -> None:
-        """Update outputs that depend directly on inputs, without a step. Sampled FMUs do nothing."""
+        """Update the outputs that depend directly on inputs, without a step. An FMU with sample times does nothing."""
 
     @property
     def inputs(self) -> tuple[Any, ...]:
@@ -102,7 +102,7 @@ class Slave(Fmi2Slave):  # type: ignore[misc]  # pythonfmu is untyped
             try:
                 self.advance(current_time, step_size)
             except Exception:
-                self.log_queue.clear()  # pythonfmu drops the exception's text while messages are queued.
+                self.log_queue.clear()  # While messages are queued, pythonfmu drops the exception's text.
                 raise
         self.is_stale = False
         return True
@@ -165,7 +165,7 @@ class Slave(Fmi2Slave):  # type: ignore[misc]  # pythonfmu is untyped
     def _set_fmu_state(self, state: dict[str, Any]) -> None:
         if state.get("model") != self.identity:
             raise ValueError("this FMU state belongs to another FMU")
-        # Checks compare phases by identity.
+        # Checks compare the phases by `is`.
         self.phase = next(p for p in (INSTANTIATED, INITIALIZATION, STEP) if p == state["phase"])
         self.start_time, self.host_values = state["start_time"], set(state["given"])
         self.current = state["current"] and self.phase is STEP

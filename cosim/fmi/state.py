@@ -1,4 +1,8 @@
-"""Serialized states of cosim's FMUs, as read by `replay`.
+"""Serialized states of FMUs built by cosim, which `replay` reads and changes.
+
+In the JSON of a Python FMU, "own" contains what determines the future: time, continuous state, and the memory of each
+shaping effect. A native FMU writes doubles instead, in the layout of `cosim/fmi/native/instance.c`: a delay's command
+history, then the memory of further effects.
 
 In the JSON of a Python FMU, "own" has everything that determines the future: time, continuous state, and the memory of
 each shaping effect. A native FMU writes doubles instead, in the layout of `cosim/fmi/native/instance.c`: a delay's
@@ -16,21 +20,21 @@ import numpy as np
 Own = list[Any]  # time [s], state, memory
 STATE, MEMORY = 1, 2  # indices of parts of Own
 JSON = b'{"'
-# bytes of the GUID; doubles of sizes and flags, and the index of time among them
+# bytes of the GUID; number of doubles for sizes and flags, and the index of time among them
 GUID, SIZES, FLAGS, TIME = 40, 6, 6, 2
 Memory = Mapping[tuple[int, int], Any]  # (part, index) → value
 
 
 def own_of(data: bytes) -> Own:
-    """Return the part of an FMU state that determines the future.
+    """Return time, state and memory from the serialized state of an FMU; they determine the future.
 
-    Foreign bytes raise ValueError, KeyError or TypeError.
+    Bytes of another tool's FMU raise ValueError, KeyError or TypeError.
     """
     return _decode(data)[0]
 
 
 def with_memory(data: bytes, memory: Memory) -> bytes:
-    """Return an FMU state with changed memory."""
+    """Return the serialized state of an FMU with changed values of its memory."""
     own, encode = _decode(data)
     for (part, place), value in memory.items():
         if place >= len(own[part]):
@@ -40,7 +44,7 @@ def with_memory(data: bytes, memory: Memory) -> bytes:
 
 
 def _decode(data: bytes) -> tuple[Own, Callable[[], bytes]]:
-    """Return the part of a state that determines the future, and a function that returns the state with changes of it.
+    """Return time, state and memory of a serialized state, and a function that serializes them after changes.
 
     Raises:
         ValueError: The bytes are not the state of an FMU of cosim.

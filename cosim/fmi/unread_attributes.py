@@ -14,7 +14,7 @@ TRUE = {"true", "1"}
 
 
 class NegatedAlias(ModelVariable):  # type: ignore[misc]
-    """A variable of FMI 1.0 whose value is the negative of its value reference's; for a Boolean, the complement."""
+    """A variable of FMI 1.0 with the negative value of its value reference; for a Boolean, the complement."""
 
     __slots__ = ()
     negated = True
@@ -30,7 +30,7 @@ class InverseDisplayUnit(DisplayUnit):  # type: ignore[misc]
 def add_unread_attributes(path: Path, description: Any) -> None:
     """Mark negated aliases, differences and inverse display units; add the dependencies of the outputs of FMI 1.0."""
     content, is_first = description_of(path), description.fmiVersion == "1.0"
-    words = b"relativeQuantity", b"inverse", b"\0"  # the last one in UTF-16
+    words = b"relativeQuantity", b"inverse", b"\0"  # zero bytes occur in UTF-16
     if not is_first and not any(word in content for word in words):
         return
     root, outputs = ElementTree.fromstring(content), []
@@ -44,7 +44,7 @@ def add_unread_attributes(path: Path, description: Any) -> None:
         if is_first and node.get("alias") == "negatedAlias":
             variable.__class__ = NegatedAlias
         if is_first and variable.causality == "output":
-            direct = node.find("DirectDependency")  # without it, the dependencies are not known
+            direct = node.find("DirectDependency")  # if absent, the dependencies are unknown
             names = [None] if direct is None else [(name.text or "").strip() for name in direct.iterfind("Name")]
             dependencies = [variables[name] for name in names] if variables.keys() >= {*names} else None
             outputs.append(Unknown(variable=variable, dependencies=dependencies))

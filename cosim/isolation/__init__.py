@@ -1,1 +1,1 @@
-"""Worker processes for FMUs, which are supervised, so that a crash of an FMU does not end cosim."""
+"""Supervised worker processes for FMUs, so that a crash of an FMU does not end cosim."""

@@ -14,11 +14,11 @@ from cosim.core.units import split_quantity
 from cosim.files.yaml_file import Part, Positive, PositiveSeconds
 
 BYTES = {"": 1.0, "B": 1.0, "kB": 1e3, "MB": 1e6, "GB": 1e9, "KiB": 2.0**10, "MiB": 2.0**20, "GiB": 2.0**30}
-LOADING = 60.0  # default limit of loading [s] with other time limits
+LOADING = 60.0  # default time limit for loading [s], if any other time limit is set
 
 
 def _bytes(value: Any) -> Any:
-    """Return a number of bytes from text with a unit; pydantic checks other values."""
+    """Convert text with a unit to a number of bytes; pydantic checks other values."""
     if not isinstance(value, str):
         return value
     number, unit = split_quantity(value) or (0.0, None)
@@ -46,7 +46,7 @@ class Limits(Part):
 
     @property
     def loading(self) -> float | None:
-        """Return the time limit of loading [s]."""
+        """Return the time limit for loading an FMU [s]; None if there is none."""
         timed = self.step is not None or self.total is not None
         return self.load if self.load is not None or not timed else LOADING
 

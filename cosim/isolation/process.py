@@ -1,4 +1,4 @@
-"""A worker process from the caller's side: start, jobs, supervision and cleanup."""
+"""The caller's side of a worker process: start, jobs, supervision and cleanup."""
 
 from __future__ import annotations
 
@@ -44,16 +44,18 @@ from cosim.isolation.worker import (
 PREFIX = "cosim-work-"
 POLL = 0.05  # interval between checks of a process [s]
 ENDING = 5.0  # time [s] for a process to end by itself
-NO_MESSAGE = b""  # in place of an answer: an FMU has written into the stream
-MOST_OUTPUT = 64_000  # passed output of FMUs [bytes]
-LAST_OUTPUT = 4_000  # last part kept to explain a crash [bytes]
-MOST_WORDS = 200  # shown part in a message [characters]
+NO_MESSAGE = b""  # received instead of an answer: an FMU has written into the stream
+MOST_OUTPUT = 64_000  # output of FMUs that is passed on [bytes]
+LAST_OUTPUT = 4_000  # last output that is kept to explain a crash [bytes]
+MOST_WORDS = 200  # output shown in a message [characters]
 TIMED_OUT = (subprocess.TimeoutExpired, psutil.TimeoutExpired)  # errors of waiting for a process
 ROOT = Path(__file__).resolve().parent.parent.parent
 
 
 class Worker:
-    """A process that calls functions for this process, started on demand and after a crash; a context manager.
+    """A process that calls functions for this process; a context manager.
+
+    The process is started at the first call, and again after a crash.
 
     Args:
         modules: Modules imported before the first job.
@@ -62,21 +64,21 @@ class Worker:
     def __init__(self, *modules: str) -> None:
         self._modules = modules
         self._process: subprocess.Popen[bytes] | _Forked | None = None
-        self.spent = [0.0]  # total time [s] of jobs counted together by their caller
-        self.starts = 0  # number of starts; a new process has lost the knowledge of the old one
+        self.spent = [0.0]  # total time [s] of jobs that the caller counts together
+        self.starts = 0  # number of starts; a new process does not have the objects of the old one
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         with delay_stops():
-            self.end(kill=kind is not None)  # It may still import modules, for which an error does not wait.
+            self.end(kill=kind is not None)  # after an error, do not wait for imports of the worker
 
     progress: Progress  # also valid after the process has ended
 
     @property
     def progress_file(self) -> Path:
-        """Return the file of the progress, which begins with the number of rows made."""
+        """Return the file with the progress, whose first value is the number of completed rows."""
         return self._scratch.path / PROGRESS
 
     def start(self) -> None:
@@ -85,15 +87,14 @@ class Worker:
             start_together([self])
 
     def _launch(self, *, replaced: bool = False) -> None:
-        """Start a process that waits for `_attend`, with a new folder and progress unless another one is replaced."""
+        """Start a process; unless it replaces another one, create a new folder and progress. `_attend` must follow."""
         if not replaced:
             self.end()
             self._scratch: ScratchFolder = scratch(PREFIX)
         try:
             self.progress = mapped_progress(self.progress_file)
-            # A fork has all imported modules. A lock of another thread, also of one of a library, would never be
-            # released in it. For the kernel of Linux the thread that starts a process is its parent, and the worker
-            # ends with it.
+            # A fork has all imported modules, but a lock that another thread holds would never be released in it. For
+            # the Linux kernel, the thread that starts a process is the parent, and the worker ends with this thread.
             is_alone = sys.platform.startswith("linux") and int(psutil.Process().num_threads()) == 1
             if is_alone and not has_loaded_fmus():
                 self._process = _fork()
@@ -110,7 +111,7 @@ class Worker:
         self.starts += 1
 
     def _attend(self) -> None:
-        """Read what the process sends, and tell it how to begin."""
+        """Start reading what the process sends, and send its settings."""
         assert self._process is not None
         self._answers: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
         self._output = _Output(self._process.stderr)
@@ -120,17 +121,17 @@ class Worker:
 
     @property
     def folder(self) -> Path:
-        """Return a folder with the lifetime of the process."""
+        """Return a folder that exists as long as the process."""
         return self._scratch.path
 
     def take_along(self, folder: Path) -> None:
-        """Register a folder for the worker to remove if this process is killed."""
+        """Register a folder that the worker removes if this process is killed."""
         with suppress(OSError), (self._scratch.path / ALONG).open("a", encoding="utf-8") as stream:
-            stream.write(f"{folder}\0")  # On a full disk the next command removes the folder.
+            stream.write(f"{folder}\0")  # if the disk is full, the next command removes the folder
 
     @property
     def running(self) -> bool:
-        """Return whether the process runs."""
+        """Return True if the process runs."""
         return self._process is not None and self._process.poll() is None
 
     def call(
@@ -138,16 +139,16 @@ class Worker:
     ) -> Any:
         """Call a function in the worker and return its result.
 
-        If an FMU has code of the same name as one of an earlier call, a new process makes the call.
+        If an FMU has different code under a name that the process has already loaded, a new process is used.
 
-        Errors of cosim are raised here. After a crash or an exceeded limit, shared rows and counters remain as they
-        were, and the next call starts a new process.
+        Errors of cosim in the worker are raised here. After a crash or an exceeded limit, shared rows and counters keep
+        their values, and the next call starts a new process.
 
         Args:
-            doing: Number of the current FMI call, for functions that do not report their calls.
+            doing: Number of the FMI call that messages name, for functions that do not report their calls.
 
         Raises:
-            InputError: The arguments cannot be sent.
+            InputError: The arguments cannot be sent to the worker.
             Crashed: The process ended.
             TimedOut: A time limit is exceeded.
             SimulationError: The memory limit is exceeded.
@@ -168,7 +169,7 @@ class Worker:
         except BaseException as stop:
             with delay_stops():
                 grace = clock.watch.grace if isinstance(stop, (KeyboardInterrupt, Terminated)) else 0.0
-                if grace and self.running and self.progress.made[0]:  # for a last checkpoint
+                if grace and self.running and self.progress.made[0]:  # gives time for a last checkpoint
                     self.progress.ending[0] = self.progress.asked[0] = 1
                     with suppress(queue.Empty):
                         self._answers.get(timeout=grace)
@@ -186,7 +187,7 @@ class Worker:
         return answer
 
     def end(self, kill: bool = False, *, replaced: bool = False) -> None:
-        """End the process and its children; remove its files, except for a process that is replaced."""
+        """End the process and its children; remove its files, unless another process replaces it."""
         process: Any = self._process
         self._process = None
         if process is None:
@@ -199,7 +200,7 @@ class Worker:
             except TIMED_OUT:
                 kill = True
         _end_group(process, kill)
-        self._output.join(1.0)  # Children of the process may hold its streams open.
+        self._output.join(1.0)  # children of the process may keep its streams open
         with suppress(OSError, ValueError):  # Unsent data have no reader.
             process.stdin.close()  # The readers of the other streams close them; closing here would wait for a read.
         if not replaced:
@@ -207,7 +208,7 @@ class Worker:
 
     def _ask(self, content: bytes) -> None:
         if self._process is not None:
-            with suppress(OSError):  # Waiting for the answer reveals an ended process.
+            with suppress(OSError):  # an ended process is detected while waiting for the answer
                 send(self._process.stdin, content)
 
     @staticmethod
@@ -239,15 +240,15 @@ class Worker:
                 clock.look(self._process.pid)
                 if self._process.poll() is None or not self._answers.empty():
                     continue
-                content = None  # Its children may hold its streams open.
+                content = None  # children of the process may keep its streams open
             if not content:
                 raise self._crash(clock, patience=0.0 if content == NO_MESSAGE else ENDING)
-            if clock.watch.width and self._process is not None:  # A short run ends between two checks.
+            if clock.watch.width and self._process is not None:  # a short run may end between two checks
                 clock.check_memory(self._process.pid)
             return content
 
     def _crash(self, clock: Clock, patience: float) -> SimulationError:
-        """Return the crash with cause, call and last message.
+        """Return the error for a crash, with its cause, the call and the last message.
 
         Args:
             patience: Time [s] for the process to end.
@@ -268,7 +269,7 @@ class Worker:
 
 
 def start_together(workers: Sequence[Worker]) -> None:
-    """Start the processes of workers; all may be forks, because the threads that attend to them start afterwards."""
+    """Start the processes of several workers. All can be forks, since threads are started only afterwards."""
     with delay_stops():
         for worker_ in workers:
             worker_._launch()
@@ -277,11 +278,11 @@ def start_together(workers: Sequence[Worker]) -> None:
 
 
 class Remote:
-    """An object in a worker, made there at its first call, and again in a new process after a crash.
+    """An object in a worker. The first call creates the object; after a crash, it is created in a new process.
 
     Args:
-        worker: Worker, which may hold several objects.
-        make: Function that makes the object there.
+        worker: Worker, which can contain several objects.
+        make: Function that creates the object in the worker.
         arguments: Arguments of `make`.
     """
 
@@ -293,30 +294,30 @@ class Remote:
 
     @property
     def is_made(self) -> bool:
-        """Return whether the object is in the process that runs."""
+        """Return True if the object exists in the current process of the worker."""
         return self._process == self.worker.starts and self.worker.running
 
     def make(self, watch: Watch | None = None) -> None:
-        """Make the object unless it is there, supervised as in `Worker.call`."""
+        """Create the object unless it exists, supervised as in `Worker.call`."""
         if not self.is_made:
             self.worker.call(make_object, self._number, *self._recipe, watch=watch, doing=OTHER)
             self._process = self.worker.starts
 
     def call(self, method: str, *arguments: Any, watch: Watch | None = None, doing: int = OTHER, **options: Any) -> Any:
-        """Call a method of the object there and return its result; errors are those of `Worker.call`."""
+        """Call a method of the object and return its result; errors are those of `Worker.call`."""
         self.make(watch)
         call = self._number, method, arguments, options
         return self.worker.call(call_object, *call, watch=watch, doing=doing)
 
     def free(self, method: str, *arguments: Any, watch: Watch | None = None) -> None:
-        """Call the last method of a made object, and forget the object."""
+        """Call a last method of the object if it exists, then discard the object."""
         if self.is_made:
             self.worker.call(call_object, self._number, method, arguments, {}, True, watch=watch, doing=OTHER)
         self._process = 0
 
 
 class _Output(threading.Thread):
-    """Text that FMUs print in the worker: passed on up to a limit, and the last part kept for messages."""
+    """Text that FMUs print in the worker: up to a limit, the text is passed on; its last part is kept for messages."""
 
     def __init__(self, stream: Any) -> None:
         super().__init__(daemon=True)
@@ -339,11 +340,11 @@ class _Output(threading.Thread):
 
 
 _starting = threading.Lock()
-_starters: dict[int, ThreadPoolExecutor] = {}  # by process: the threads of a process are not those of its fork
+_starters: dict[int, ThreadPoolExecutor] = {}  # process → threads; a fork does not have the threads of its parent
 
 
 def _spawn() -> subprocess.Popen[bytes]:
-    """Start Python in its own group, so that Ctrl-C reaches the caller only."""
+    """Start Python in a process group of its own, so that Ctrl-C interrupts only the caller."""
     path = os.environ.get("PYTHONPATH")
     environment = {**os.environ, **cache_environment(), "PYTHONPATH": str(ROOT) + (os.pathsep + path if path else "")}
     return subprocess.Popen(
@@ -358,23 +359,23 @@ def _spawn() -> subprocess.Popen[bytes]:
 
 
 class _Forked(psutil.Process):  # type: ignore[misc]  # psutil is untyped
-    """A process that `_fork` has started, with streams and `poll` as of `subprocess.Popen`."""
+    """A process that `_fork` has started, with the interface of `subprocess.Popen` as far as needed."""
 
     def __init__(self, pid: int, stdin: int, stdout: int, stderr: int) -> None:
         super().__init__(pid)
         self.stdin, self.stdout, self.stderr = os.fdopen(stdin, "wb"), os.fdopen(stdout, "rb"), os.fdopen(stderr, "rb")
 
     def poll(self) -> int | None:
-        """Return the exit code, negative after a signal; None of a process that runs."""
+        """Return the exit code, negative after a signal; None while the process runs."""
         with suppress(psutil.TimeoutExpired):
             return int(self.wait(0.0))
         return None
 
 
 def _fork() -> _Forked:
-    """Start a fork of this process in its own group, with default signals and no files but its streams."""
-    for stream in (sys.stdout, sys.stderr):  # else the fork writes what they buffer, too
-        with suppress(OSError, ValueError):  # a closed one
+    """Fork this process into a group of its own, with default signals and only the files of its streams."""
+    for stream in (sys.stdout, sys.stderr):  # otherwise the fork would write buffered text again
+        with suppress(OSError, ValueError):  # a stream may be closed
             stream.flush()
     (to_read, to_write), (out_read, out_write), (err_read, err_write) = os.pipe(), os.pipe(), os.pipe()
     pid = os.fork()
@@ -391,7 +392,7 @@ def _fork() -> _Forked:
             os.dup2(end, number)
         os.closerange(3, os.sysconf("SC_OPEN_MAX"))
         os.environ.update(cache_environment())
-        contextvars.Context().run(worker.main)  # nothing of the work of the caller applies in it
+        contextvars.Context().run(worker.main)  # without context variables of the caller
     finally:
         os._exit(1)
 

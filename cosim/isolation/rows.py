@@ -1,4 +1,4 @@
-"""Rows and progress of a run, in memory or in mapped files shared with another process."""
+"""Rows and progress of a run, in memory or in memory-mapped files that two processes share."""
 
 from __future__ import annotations
 
@@ -21,17 +21,17 @@ import numpy as np
 
 from cosim.core.arrays import Array
 
-# Current call: number of the component times CALLS, plus one of these.
+# Number of the current call: component·CALLS + one of these.
 CALLS = 4
 PUT, ADVANCE, GET, OTHER = range(CALLS)
 NOTHING = -1  # no call yet
-WAITING = NOTHING - CALLS  # for the clock, or for the end of a pause; like NOTHING, no call
+WAITING = NOTHING - CALLS  # waiting for the clock or for the end of a pause, without a call
 BLOCK = 1 << 20  # bytes per write on disks that cannot reserve space
-POPULATE_WRITE, AHEAD = 23, 2**26  # MADV_POPULATE_WRITE of Linux, and bytes of a table to map beforehand
+POPULATE_WRITE, AHEAD = 23, 2**26  # MADV_POPULATE_WRITE of Linux, and bytes of a table to map in advance
 
 
 class ExactFile:
-    """Values beyond doubles in a file, one row of JSON a line, readable by another process after a crash."""
+    """A file of values that doubles cannot represent: one JSON line per row, readable after a crash."""
 
     def __init__(self, path: Path) -> None:
         self._stream = path.open("ab", buffering=0)
@@ -48,13 +48,13 @@ class ExactFile:
 
 
 def read_exact(path: Path, rows: int) -> list[tuple[Any, ...]]:
-    """Return the values of the first complete rows; those without a line have the values of the last line."""
+    """Return the values of the first complete rows; rows without a line have the values of the last line."""
     values: list[tuple[Any, ...]] = []
     with suppress(FileNotFoundError), path.open("rb") as stream:
         for line in stream:
             if len(values) == rows:
                 break
-            with suppress(ValueError):  # cut, or written by an FMU
+            with suppress(ValueError):  # the line is incomplete, or an FMU has written it
                 if isinstance(row := json.loads(line), list):
                     values.append(tuple(bytes.fromhex(v["hex"]) if isinstance(v, dict) else v for v in row))
     return values + values[-1:] * (rows - len(values))
@@ -65,22 +65,22 @@ def exact_line(row: Sequence[Any]) -> bytes:
     return json.dumps([{"hex": v.hex()} if isinstance(v, bytes) else v for v in row]).encode() + b"\n"
 
 
-FOLLOWED = "rows.json"  # beside the rows of a run under way: units of its columns, start and step, file of its progress
+FOLLOWED = "rows.json"  # beside the rows of a running run: units of columns, start, step, file of progress
 
 
 @dataclass(frozen=True)
 class Rows:
-    """Rows of a run during its recording, and the progress of the run.
+    """Rows of a run while it is recorded, and the progress of the run.
 
     Attributes:
-        beside: Values without exact double, such as text and 64-bit integers, stored before `made` counts their row: a
-            list of rows, or an `ExactFile`.
+        beside: Values that doubles cannot represent, such as text and 64-bit integers: a list of rows or an
+            `ExactFile`. They are stored before `made` counts their row.
         made: [number of complete rows], updated after each row.
         doing: [current call], updated before each call.
-        tell_loop: Function called with the kind of loop before its start.
-        asked: [whether the loop calls `keeper.look` after the current step].
-        keeper: Keeper of the run's checkpoints, if any.
-        given: Number of rows of a stopped run that are already there.
+        tell_loop: Function that is called with the kind of loop (C or Python) before the loop starts.
+        asked: [True if the loop must call `keeper.look` after the current step].
+        keeper: Object that writes checkpoints of the run, if any.
+        given: Number of rows from a stopped run that is resumed.
     """
 
     table: Array
@@ -99,9 +99,9 @@ class Rows:
 
 
 def allocate(path: Path, size: int) -> None:
-    """Make a file of zeros with reserved space.
+    """Create a file of zeros whose disk space is reserved.
 
-    Writing to a mapped page without space would crash. A full disk raises OSError.
+    A full disk raises OSError here; otherwise writing to a mapped page would crash later.
     """
     with path.open("wb") as stream:
         if hasattr(os, "posix_fallocate"):
@@ -112,17 +112,17 @@ def allocate(path: Path, size: int) -> None:
 
 
 def mapped_table(path: Path, rows: int, columns: int) -> Array:
-    """Return the mapped table of an allocated file."""
+    """Return the table in an allocated file as a mapped array."""
     if not rows * columns:
         return np.zeros((rows, columns))
     mapped = _map(path, 8 * rows * columns)
-    if isinstance(mapped, ctypes.Array):  # elsewhere each page costs a fault during stepping
+    if isinstance(mapped, ctypes.Array):  # otherwise each page would cause a page fault during stepping
         _libc().madvise(mapped, ctypes.c_size_t(min(len(mapped), AHEAD)), POPULATE_WRITE)
     return np.frombuffer(mapped, np.float64).reshape(rows, columns)
 
 
 def _map(path: Path, size: int) -> Any:
-    """Return a mapped file as a buffer, on Linux without a descriptor into which an FMU could write."""
+    """Return a memory-mapped file as a buffer; on Linux without an open descriptor to which an FMU could write."""
     with path.open("r+b") as stream:
         if sys.platform != "linux":
             return mmap.mmap(stream.fileno(), size)
@@ -145,7 +145,7 @@ def _libc() -> Any:
 
 
 def read_table(path: Path, rows: int, columns: int, *, mapped: bool = False) -> Array:
-    """Return a table file's first rows in memory, or mapped while the file exists."""
+    """Return the first rows of a table file as an array in memory, or mapped, which requires the file."""
     if not rows * columns:
         return np.zeros((rows, columns))
     if mapped:
@@ -154,16 +154,16 @@ def read_table(path: Path, rows: int, columns: int, *, mapped: bool = False) -> 
 
 
 class Progress(ctypes.Structure):
-    """Progress of a process, mapped by the process and its observer.
+    """Progress of a run, in memory that the running process and its observer share.
 
     Attributes:
-        made: As in `Rows`, like `doing`.
-        named: Whether `call` is the current FMI function.
-        stop: Whether the observer requests an early end.
-        hold: Whether the observer requests a pause.
+        made: As in `Rows`; likewise `doing`.
+        named: True if `call` is the current FMI function.
+        stop: True if the observer requests an early end.
+        hold: True if the observer requests a pause.
         sent: Number of changes that the observer has sent.
         asked: As in `Rows`.
-        ending: Whether the caller requests a checkpoint and an end at once.
+        ending: True if the caller requests a checkpoint and an immediate end.
         words: Last message of an FMU.
         loop: Kind of stepping loop.
     """
@@ -184,7 +184,7 @@ class Progress(ctypes.Structure):
 
 
 def mapped_progress(path: Path) -> Progress:
-    """Return the progress in a file, made if missing."""
+    """Return the progress in a file, which is created if it is missing."""
     if not path.exists():
         path.write_bytes(bytes(ctypes.sizeof(Progress)))
     return Progress.from_buffer(_map(path, ctypes.sizeof(Progress)))

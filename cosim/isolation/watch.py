@@ -25,16 +25,16 @@ SIGNALS = {
     "SIGILL": "crashed: illegal instruction",
     "SIGKILL": "was killed, probably by the operating system because memory ran out",
 }
-STATUSES = {  # NTSTATUS of Windows
+STATUSES = {  # NTSTATUS codes of Windows
     0xC0000005: "crashed: access violation",
     0xC00000FD: "crashed: stack overflow",
     0xC0000094: "crashed: division by zero",
     0xC0000374: "crashed: heap corrupted",
     0xC0000409: "crashed: abort",
 }
-CALL_KEYS = {"set": PUT, "step": ADVANCE, "get": GET, "other": OTHER}  # of the manifest
-READING_PAUSE = 0.003, 0.007  # [s] shortest and longest time between two readings of the current call, at random
-PLAIN_CALLS = ("setting its inputs", "stepping", "reading its outputs")  # for components other than FMUs
+CALL_KEYS = {"set": PUT, "step": ADVANCE, "get": GET, "other": OTHER}  # names in the manifest
+READING_PAUSE = 0.003, 0.007  # [s] limits of the random time between two readings of the current call
+PLAIN_CALLS = ("setting its inputs", "stepping", "reading its outputs")  # for components that are not FMUs
 FMI_CALLS = {
     "2": ("fmi2SetReal", "fmi2DoStep", "fmi2GetReal"),
     "3": ("fmi3SetFloat64", "fmi3DoStep", "fmi3GetFloat64"),
@@ -42,18 +42,18 @@ FMI_CALLS = {
 
 
 class ComponentTimes:
-    """Wall time of each call of the components, summed by the caller of a worker, about 200 times a second.
+    """Wall time of each component's calls, sampled by the caller of a worker about 200 times per second.
 
     Args:
-        components: Names by number in `Rows.doing`.
-        first_row: Number of rows of a stopped run, whose repetition is not counted.
+        components: Names, indexed by the component number in `Rows.doing`.
+        first_row: Number of rows of a stopped run; repeating its steps is not counted.
     """
 
     def __init__(self, components: Sequence[str], first_row: int = 0) -> None:
         self._components, self._first_row = components, first_row
         self._seconds = [[0.0] * CALLS for _ in components]
         self._rest = self._waiting = 0.0
-        self._readings = 0  # without those of waiting and of the worker's start
+        self._readings = 0  # number of readings, without waiting and the start of the worker
         self._last = time.monotonic()
 
     def read(self, rows: int, doing: int) -> None:
@@ -73,7 +73,7 @@ class ComponentTimes:
             self._readings += 1
 
     def record(self) -> dict[str, Any]:
-        """Return the times for a manifest [s], the component with the longest time first."""
+        """Return the times [s] for the manifest; the component with the longest time is first."""
         sums = sorted(zip(self._components, self._seconds, strict=True), key=lambda pair: -sum(pair[1]))
         whole = max(sum(sum(seconds) for _, seconds in sums) + self._rest, 1e-9)
         components = {
@@ -90,16 +90,16 @@ class Watch:
     """Data for supervising a job and describing its calls.
 
     Attributes:
-        components: Names by number in `Rows.doing`.
+        components: Names, indexed by the component number in `Rows.doing`.
         calls: FMI names of put, advance and get for each component.
-        time: Function from rows and current call to simulated time [s].
+        time: Function of the number of rows and the current call that returns the simulated time [s].
         width: Size of a row [bytes], excluded from the memory limit.
-        spent: [total time without loading [s]], increased by this job.
-        progress: Function called with the number of rows.
+        spent: [total time without loading [s]], to which this job adds.
+        progress: Function that is called with the number of rows.
         grace: Time [s] for a stopped job to end by itself, for a checkpoint.
-        times: Wall time of components and calls, read while the job lasts.
-        computing: Whether limits of calls count the time in which the worker computes or sleeps, but not that in which
-            it waits for a processor, so that results do not depend on the load of the machine.
+        times: Wall time of components and calls, sampled during the job.
+        computing: True if time limits of calls exclude the time in which the worker waits for a processor, so that
+            results do not depend on the load of the machine.
     """
 
     components: Sequence[str] = ()
@@ -115,15 +115,15 @@ class Watch:
 
 
 def fmi_calls(description: Any) -> Sequence[str]:
-    """Return FMI's names of put, advance and get.
+    """Return FMI's names of the functions for put, advance and get.
 
-    Components other than FMUs, with description None, have plain words.
+    For other components (description None), plain words are returned.
     """
     return FMI_CALLS.get(str(getattr(description, "fmiVersion", ""))[:1], PLAIN_CALLS)
 
 
 def _memory(pid: int, limit: float) -> int:
-    """Return the memory of a process and those that it started [bytes]; above the limit shared pages count once."""
+    """Return the memory [bytes] of a process and its children; above `limit`, shared pages count only once."""
     processes: dict[int, psutil.Process] = {}
     with suppress(psutil.Error):
         own = psutil.Process(pid)
@@ -136,7 +136,7 @@ def _memory(pid: int, limit: float) -> int:
     for is_exact in (False, True):
         size = 0
         for process in processes.values():
-            with suppress(psutil.Error):  # it has ended
+            with suppress(psutil.Error):  # the process has ended
                 size += process.memory_full_info().pss if is_exact else process.memory_info().rss
         if size <= limit or not sys.platform.startswith("linux"):
             break
@@ -153,7 +153,7 @@ def _processor_time(pid: int) -> tuple[float, str]:
 
 
 def how_ended(code: int) -> str:
-    """Return a phrase for a return code."""
+    """Return a phrase that explains a process's return code."""
     if code < 0:
         name = signal.Signals(-code).name if -code in set(signal.Signals) else f"signal {-code}"
         return f"{SIGNALS.get(name, 'was ended')} ({name})"
@@ -170,18 +170,18 @@ class Clock:
         self.since = self.last = time.monotonic()
         self.key: tuple[Any, ...] = ()
         self.rows = 0  # number of rows at the last check
-        self.used: float | None = None  # processor time of the worker at the first look [s]
+        self.used: float | None = None  # processor time of the worker at the first check [s]
 
     def look(self, pid: int) -> None:
-        """Raise TimedOut or SimulationError for an exceeded limit."""
+        """Check the limits: raise TimedOut for time, SimulationError for memory."""
         now, rows, doing = time.monotonic(), self.progress.made[0], self.progress.doing[0]
         watch, limits = self.watch, self.watch.limits
         if watch.progress is not None and rows != self.rows:
             self.rows = rows
             watch.progress(rows)
-        is_named, is_other = self.progress.named[0], doing % CALLS == OTHER  # NOTHING counts as OTHER too.
+        is_named, is_other = self.progress.named[0], doing % CALLS == OTHER  # NOTHING also counts as OTHER
         loading = not rows and is_other and not (is_named and b"Instantiate" not in self.progress.call)
-        # constant during a step or call
+        # does not change during a step or call
         key = (rows,) if rows and not is_other else (rows, doing, is_named, self.progress.call)
         waiting = doing in (NOTHING, WAITING)
         if key != self.key or waiting:
@@ -201,14 +201,14 @@ class Clock:
         self.check_memory(pid)
 
     def _is_kept_waiting(self, pid: int, limit: float) -> bool:
-        """Return whether a worker that would compute got a processor for less than `limit` [s]."""
+        """Return True if a worker that wants to compute had a processor for less than `limit` [s]."""
         if self.used is None:
             return False
         used, status = _processor_time(pid)
         return status in (psutil.STATUS_RUNNING, psutil.STATUS_STOPPED) and used - self.used < limit
 
     def check_memory(self, pid: int) -> None:
-        """Raise SimulationError if the processes are too large."""
+        """Raise SimulationError if the worker and its children exceed the memory limit."""
         limit = self.watch.limits.memory
         if limit is None:
             return
@@ -223,7 +223,7 @@ class Clock:
             raise SimulationError(component, at, message)
 
     def place(self) -> tuple[str, float, str]:
-        """Return component, simulated time [s] and call."""
+        """Return the component, simulated time [s] and call at which the worker is."""
         number, call = divmod(self.progress.doing[0], CALLS)
         watch = self.watch
         if not 0 <= number < len(watch.components):
@@ -237,7 +237,7 @@ class Clock:
         return watch.components[number], watch.time(self.progress.made[0], call), name
 
     def place_of_streams(self) -> tuple[str, float, str]:
-        """Return component, simulated time [s] and message of an FMU that changed the streams of its process."""
+        """Return component, simulated time [s] and message for an FMU that has changed its process's streams."""
         component, at, _ = self.place()
         calls = zip(self.watch.components, self.watch.calls, strict=False)
         fmus = [name for name, names in calls if names is not PLAIN_CALLS]

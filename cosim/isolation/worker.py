@@ -1,6 +1,6 @@
 """A worker process: `python -m cosim.isolation`, with requests on stdin and answers on stdout.
 
-Output of FMUs goes to stderr. The process ends with its stdin, however the caller ended.
+Output of FMUs goes to stderr. The process ends when its stdin closes, for whatever reason.
 """
 
 from __future__ import annotations
@@ -35,25 +35,25 @@ PROGRESS, ALONG = "progress", "along"
 
 
 class BadStream(OSError):
-    """Error: a stream has something that is no message, or does not wait for one."""
+    """Error: a stream contains something other than a message, or does not block while it is empty."""
 
 
-progress: Progress  # shared with the caller
+progress: Progress  # in memory that the caller shares
 abandoned = threading.Event()  # set when the caller has ended
 
 
-_objects: dict[int, Any] = {}  # those of `Remote`, by number
+_objects: dict[int, Any] = {}  # number → object of a `Remote`
 
 
 def make_object(number: int, make: Callable[..., Any], arguments: Sequence[Any]) -> None:
-    """Make an object of this process."""
+    """Create an object in this process, under a number."""
     _objects[number] = make(*arguments)
 
 
 def call_object(
     number: int, method: str, arguments: Sequence[Any], options: Mapping[str, Any], is_last: bool = False
 ) -> Any:
-    """Call a method of an object of this process; forget the object after its last call."""
+    """Call a method of an object of this process; `is_last` removes the object afterwards."""
     return getattr(_objects.pop(number) if is_last else _objects[number], method)(*arguments, **options)
 
 
@@ -69,13 +69,13 @@ def share_log(component: Any) -> None:
 
 
 def send(stream: Any, content: bytes) -> None:
-    """Write a message."""
+    """Write a message with mark, checksum and size."""
     stream.write(HEAD.pack(MARK, crc32(content), len(content)) + content)
     stream.flush()
 
 
 def receive(stream: Any) -> bytes | None:
-    """Read a message; return None at the end of the stream, and raise BadStream for what is no message."""
+    """Read a message; return None at the end of the stream, raise BadStream for other content."""
     head = stream.read(HEAD.size)
     if head is None:
         raise BadStream
@@ -89,23 +89,23 @@ def receive(stream: Any) -> bytes | None:
 
 
 def main() -> None:
-    """Import modules, then do jobs in sequence."""
+    """Import modules, then execute jobs one after another."""
     global progress
     collect_seldom()
-    # The streams to the caller are separated from FMUs, which read nothing from stdin and print to stderr.
+    # The streams to the caller are hidden from FMUs, which get an empty stdin and print to stderr.
     requests, answers = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
     os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
     os.dup2(2, 1)
     state = _state_of(requests, answers)
     if sys.platform.startswith("linux"):
-        # At the caller's end the kernel sends SIGUSR1, even if an FMU hangs. Its handler is alarm(SIGUSR1) of the C
+        # When the caller ends, the kernel sends SIGUSR1, even if an FMU hangs. The handler is alarm(SIGUSR1) of the C
         # library, which ends the process after 10 s.
         libc = ctypes.CDLL(None)
         libc.signal.argtypes = [ctypes.c_int, ctypes.c_void_p]
         libc.signal(signal.SIGUSR1, ctypes.cast(libc.alarm, ctypes.c_void_p))
         libc.prctl(1, signal.SIGUSR1)  # PR_SET_PDEATHSIG
     scratch, sys.path[:], python_path, modules = pickle.loads(receive(requests) or sys.exit())
-    os.environ.pop("PYTHONPATH", None)  # that of the caller, and not that by which cosim is found
+    os.environ.pop("PYTHONPATH", None)  # this one located cosim; that of the caller replaces it
     if python_path is not None:
         os.environ["PYTHONPATH"] = python_path
     tempfile.tempdir = os.environ["TMPDIR"] = os.environ["TEMP"] = os.environ["TMP"] = str(scratch)
@@ -123,17 +123,17 @@ def main() -> None:
             send(answers, answer)
         except OSError:
             os._exit(STREAMS_LOST)
-    # End at once, without unloading modules. The caller ends processes started by FMUs.
-    with suppress(OSError, ValueError):  # An FMU may have closed them.
+    # End immediately, without unloading modules. The caller ends processes that FMUs have started.
+    with suppress(OSError, ValueError):  # an FMU may have closed the streams
         sys.stdout.flush()
         sys.stderr.flush()
     if os.name == "posix":
-        ctypes.CDLL(None).fflush(None)  # flushes files written by FMUs
+        ctypes.CDLL(None).fflush(None)  # writes buffered output of FMUs
     os._exit(0)
 
 
 def _state_of(*streams: BinaryIO) -> list[tuple[int, int, bool]]:
-    """Return the identities of streams, and whether they wait; raise OSError for a closed one."""
+    """Return the identity of each stream and whether reading blocks; raise OSError for a closed stream."""
     about = []
     for number in (stream.fileno() for stream in streams):
         waits = sys.platform == "win32" or os.get_blocking(number)
@@ -143,7 +143,7 @@ def _state_of(*streams: BinaryIO) -> list[tuple[int, int, bool]]:
 
 
 def hold_if_abandoned() -> None:
-    """Wait for the end of this process if its caller has ended."""
+    """If the caller has ended, wait until this process is ended."""
     while abandoned.is_set():
         time.sleep(1.0)
 
@@ -158,8 +158,8 @@ def _read(requests: BinaryIO, jobs: queue.SimpleQueue[bytes], scratch: Path) -> 
             jobs.put(content)
     except OSError:
         os._exit(STREAMS_LOST)
-    abandoned.set()  # The removal takes a while, in which another command may use the same folders.
-    with suppress(OSError, ValueError):  # The caller lists folders in a file: a job with them may not have begun.
+    abandoned.set()  # Removal takes a while, during which another command may use the same folders.
+    with suppress(OSError, ValueError):  # The caller lists its folders in a file.
         for line in filter(None, (scratch / ALONG).read_text(encoding="utf-8").split("\0")):
             remove(Path(line))
     remove(scratch)
@@ -169,7 +169,7 @@ def _read(requests: BinaryIO, jobs: queue.SimpleQueue[bytes], scratch: Path) -> 
 
 
 def _name_calls() -> None:
-    """Make FMPy announce each FMI call."""
+    """Make FMPy store the name of each FMI call in the shared progress."""
     try:
         from fmpy.fmi1 import _FMU
     except ImportError:
@@ -186,10 +186,10 @@ def _name_calls() -> None:
 
 
 def _answer(content: bytes) -> bytes:
-    """Do a job; return the pickled (answer, None) or (None, error). Foreign errors carry their traceback."""
+    """Execute a job; return the pickled (answer, None) or (None, error). Unexpected errors include a traceback."""
     try:
         function, arguments = pickle.loads(content)
-    except Exception as error:  # a class that only the caller can import
+    except Exception as error:  # the answer has a class that only the caller can import
         return pickle.dumps((None, transfer_fault(error)))
     try:
         return pickle.dumps((function(*arguments), None))
@@ -200,7 +200,7 @@ def _answer(content: bytes) -> bytes:
         try:
             content = pickle.dumps((None, error))
             pickle.loads(content)
-        except Exception:  # Some errors cannot be pickled, or only fail when unpickled.
+        except Exception:  # some errors cannot be pickled, or cannot be unpickled
             plain = RuntimeError(f"{type(error).__name__}: {error}")
             plain.add_note(place)
             content = pickle.dumps((None, plain))
@@ -208,7 +208,7 @@ def _answer(content: bytes) -> bytes:
 
 
 def transfer_fault(error: Exception) -> InputError:
-    """Return the fault of an unsendable argument."""
+    """Return the InputError for an argument that cannot be sent to a worker."""
     reason = " ".join(str(error).split())[:200]
     message = (
         f"cannot be passed to the worker process ({type(error).__name__}: {reason}); define it in a module that can be "

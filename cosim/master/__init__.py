@@ -1,1 +1,1 @@
-"""Stepping of systems: initialization, loops in Python and C, and observers."""
+"""The master: initialization of systems, stepping in Python and C, and observers."""

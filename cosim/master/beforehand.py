@@ -1,13 +1,13 @@
-"""Examinations of components before a run, in instances of their own: direct feedthrough, and saved states.
+"""Examinations of components before a run, in separate instances: direct feedthrough, and saved states.
 
-**Direct feedthrough** where FMUs declare no dependencies. An order of components may assume that an undeclared input
-has none. Each such input is displaced, by small and large amounts about two points, in initialization and after it, and
-the outputs that follow are noted: integers by one, Booleans to their other value, enumerations to other items. FMUs in
-event mode stay in the event mode after initialization. The order is then planned again.
+**Direct feedthrough.** If an FMU declares no dependencies, the order of components may assume that an input has no
+direct feedthrough. Each such input is changed by small and large amounts from two points, during initialization and
+afterwards: integers by one, Booleans to the other value, enumerations to other items. The outputs that react are
+recorded, and the order is planned again. FMUs with event mode stay in the event mode that follows initialization.
 
-**States beyond the end of the run that saved them.** An FMU may save the end of the run, which it was told, with its
-state, and then refuses to step beyond it. Such a state is of no use to a longer run. Each state is restored, and the
-FMU steps over that end with the inputs of the last row.
+**Saved states.** An FMU may save the stop time with its state, and then refuse to step beyond this time. Such a state
+cannot be used in a longer run. Each state is therefore restored, and the FMU steps beyond the old stop time with the
+inputs of the last row.
 """
 
 from __future__ import annotations
@@ -45,28 +45,28 @@ from cosim.system.schedule import Loop
 from cosim.system.system import System, build_system
 
 SWEEPS = 3  # exchanges of values before the measurement
-LEAST = 1e-7  # change of an output that counts, relative to its value
-NOISE = 10.0  # the same relative to differences between equal calls
-IRREGULAR = 0.37  # displacement of the second point, in sizes of an input
+LEAST = 1e-7  # least change of an output, relative to its value, that counts as a reaction
+NOISE = 10.0  # least change of an output that counts, in multiples of the difference between equal calls
+IRREGULAR = 0.37  # displacement of the second point, in magnitudes of an input
 OTHERS = -0.37, -0.9, 0.9  # displacements of further points, for a component that refuses the first two
-BEYOND = 2  # steps beyond the end of the run that saved a state
-MOST_NAMED = 6  # signals of a message
-LONGEST_MEASUREMENT = 20.0  # [s] with the first step, without loading; less with a shorter `limits: total`
-LEAST_FIRST_STEP = 0.1  # [s] that is left for the first step
-SILENT = 2.0  # [s] before a note tells of the measurement
+BEYOND = 2  # tried steps after the stop time of the run that saved a state
+MOST_NAMED = 6  # signals named in a message
+LONGEST_MEASUREMENT = 20.0  # limit with the first step [s], without loading; at most `limits: total`
+LEAST_FIRST_STEP = 0.1  # part of this time that is reserved for the first step [s]
+SILENT = 2.0  # time after which a note about the measurement is shown [s]
 
 Pair = tuple[str, str]  # output, input
 
 
 @dataclass(frozen=True)
 class Feedthrough:
-    """Measured feedthrough of inputs without declared dependencies.
+    """Measured direct feedthrough of inputs without declared dependencies.
 
     Attributes:
-        pairs: Outputs that follow an input after initialization.
-        at_start: Outputs that follow an input in initialization only.
+        pairs: Pairs (output, input) with direct feedthrough after initialization.
+        at_start: Pairs (output, input) with direct feedthrough only during initialization.
         inputs: Inputs that were measured.
-        failure: Why something could not be measured.
+        failure: Reason why the measurement is incomplete; "" if it is complete.
     """
 
     pairs: tuple[Pair, ...] = ()
@@ -76,9 +76,9 @@ class Feedthrough:
 
 
 def undeclared_inputs(system: System) -> dict[str, frozenset[str]]:
-    """Return component → inputs within open loops that have no declared dependencies.
+    """Return component → inputs without declared dependencies whose connections may close an algebraic loop.
 
-    Inputs of FMUs in event mode whose values settle at each instant need none.
+    Inputs of FMUs with event mode whose values are exchanged until they settle are left out.
     """
     undeclared = {}
     transfers = [transfer.name.partition(".") for loop in system.opened for transfer in loop.transfers]
@@ -100,13 +100,13 @@ def examine(
     *arguments: Any,
     spent: list[float] | None = None,
 ) -> Any:
-    """Return what an examination of opened components finds.
+    """Open the components of a system, and return the result of an examination.
 
     Args:
-        examination: Function of a master in initialization mode, and of arguments.
-        grid: Number of the steps and their length [s].
+        examination: Function of a master in initialization mode and of `arguments`.
+        grid: Number of communication steps, and their length [s].
         worker: Process for the FMUs; None for this one, without limits.
-        spent: Time [s] without loading, increased by the examination.
+        spent: [time without loading [s]], to which the examination adds.
 
     Raises:
         FmuError: An FMU does not load.
@@ -146,11 +146,11 @@ def without_ended_states(
     worker: Worker | None,
     limits: Limits,
 ) -> tuple[Continuation, list[str]]:
-    """Return a continuation without the states of FMUs that refuse to step beyond an end, and these FMUs.
+    """Return a continuation without states that cannot be stepped beyond the old stop time, and their FMUs.
 
     Args:
         grid: Number of steps of the longer run, and their length [s].
-        end: Communication point of the end of the run that saved the states.
+        end: Communication point at the stop time of the run that saved the states.
         worker: Process for the FMUs; None for this one, without limits.
 
     Raises:
@@ -167,7 +167,7 @@ def without_ended_states(
         ended = examine(ended_states, system, grid, worker, limits, start.values[-1], saved, start.count - 1, end)
     except (Interrupted, Signalled):
         raise
-    except SimulationError:  # a crash or a limit: none of the states has proved its use
+    except SimulationError:  # after a crash or an exceeded limit, no state is used
         ended = [*saved]
     if not ended:
         return start, []
@@ -176,11 +176,11 @@ def without_ended_states(
 
 
 def ended_states(master: Master, row: Sequence[float], states: Mapping[str, Any], last: int, end: int) -> list[str]:
-    """Return the FMUs whose restored states refuse to step beyond an end.
+    """Return the FMUs whose restored states cannot be stepped beyond the old stop time.
 
     Args:
-        row: Last row.
-        last: Communication point of the states, `end` that of the end.
+        row: Values of the last row.
+        last: Communication point of the states. end: Communication point at the old stop time.
     """
     Initialization(master, master.solvers).run()
     ended = []
@@ -204,9 +204,9 @@ def ended_states(master: Master, row: Sequence[float], states: Mapping[str, Any]
 
 
 def measure_feedthrough(master: Master) -> Feedthrough:
-    """Return the feedthrough of undeclared inputs in the open loops of a system."""
+    """Return the measured direct feedthrough of undeclared inputs in the open loops of a system."""
     system, failure, exchange = master.system, "", Initialization(master)
-    # A component of a loop may refuse the start values of the others. It is then measured at its own.
+    # A component may refuse the start values of other components in its loop. It is then measured at its own.
     for sweep in range(SWEEPS):
         before = list(master.row)
         try:
@@ -226,7 +226,7 @@ def measure_feedthrough(master: Master) -> Feedthrough:
     for component in master.components:
         master.announce(component).start()
     for component in master.components:
-        with suppress(SimulationError):  # It may refuse the start values.
+        with suppress(SimulationError):  # the component may refuse the start values
             component.get()
     pairs, inputs = _measure(master, asked)
     inputs &= first_inputs
@@ -235,7 +235,7 @@ def measure_feedthrough(master: Master) -> Feedthrough:
 
 
 def _measure(master: Master, asked: Sequence[tuple[Member, list[int]]]) -> tuple[list[Pair], set[str]]:
-    """Return the pairs of outputs and inputs of which the output follows the input now, and the measured inputs."""
+    """Return the pairs (output, input) with direct feedthrough in the current mode, and the measured inputs."""
     names, row = master.system.columns, master.row
     pairs: list[Pair] = []
     measured: set[str] = set()
@@ -273,14 +273,14 @@ def with_feedthrough(
     worker: Worker | None,
     tell: Callable[[str], None] = lambda text: None,
 ) -> System:
-    """Return the system, planned by measured feedthrough where its order had to assume that there is none.
+    """Return the system, planned again with measured direct feedthrough if its order assumes that there is none.
 
-    The scenario of the file gets the measured inputs as `feedthrough`. A loop is solved if its first step succeeds;
-    otherwise it is left open, with a warning of the measured facts.
+    The measured inputs are stored as `feedthrough` in the scenario. A loop is solved if its first step succeeds;
+    otherwise it stays open, with a warning that says what was measured.
 
     Args:
         worker: Process for the FMUs; None for this one.
-        tell: Function that shows a note if it takes long.
+        tell: Function that shows a note if the measurement takes long.
     """
     undeclared = undeclared_inputs(system) if system.assumed else {}
     planned, opened = system, list[Loop]()
@@ -308,7 +308,7 @@ def with_feedthrough(
                 measured = Feedthrough(failure=f": {reason}")
             followed = {n: sorted({i for _, i in measured.pairs if i in inputs}) for n, inputs in undeclared.items()}
             known = measured.inputs - {entry for _, entry in measured.at_start}
-            declared = {  # where all inputs are known or some of them followed
+            declared = {  # components whose inputs are all known, or some of whose outputs react
                 n: [i.partition(".")[2] for i in followed[n]]
                 for n, inputs in undeclared.items()
                 if followed[n] or inputs <= known
@@ -353,12 +353,12 @@ def _note(
     failure: str,
     held: Collection[str],
 ) -> str:
-    """Return the warning of a loop that is left open, "" if it is none.
+    """Return the warning about a loop that stays open; "" if the measurement shows that there is no loop.
 
     Args:
-        unknown: Inputs with the value of the step before that were not measured.
+        unknown: Inputs with values of the previous step that were not measured.
         failure: Why the measured loops cannot be solved.
-        held: Inputs with the value of the step before.
+        held: Inputs with values of the previous step.
     """
 
     def is_part(name: str) -> bool:

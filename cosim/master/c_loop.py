@@ -1,7 +1,7 @@
-"""Stepping loop in C, for components that C can call. It returns to Python when Python must act.
+"""Stepping loop in C, for components that C can call. The loop returns when Python must act.
 
 The loop returns for events, progress, new values of sources, any status other than OK, and once a second for signals of
-the operating system. Python then acts as in its own loop, so the rows have the same bytes.
+the operating system. Python then does the same as in its own loop, so that the rows are equal bit for bit.
 """
 
 from __future__ import annotations
@@ -40,25 +40,25 @@ from cosim.system.wiring import Transfer
 if TYPE_CHECKING:
     from cosim.master.master import Master
 
-PREPARED_POINTS = 1000  # points of source values computed at a time
+PREPARED_POINTS = 1000  # points for which source values are computed in advance
 
 
 def compile_beforehand(system: System) -> None:
-    """Compile the loop now, outside the time limits of calls."""
+    """Compile the loop now, so that compilation does not count in the time limits of calls."""
     fmus = (stage.component for stage in system.stages if not isinstance(stage.component, SourceBlock))
-    if not any(fmu.nominal_step for fmu in fmus):  # Python steps FMUs made of Python.
+    if not any(fmu.nominal_step for fmu in fmus):  # Python FMUs are stepped in Python
         with suppress(NotCompiled):
             library()
 
 
 class CompiledSteps:
-    """Steps of a run after initialization, made in C: all of them, or one after the other with any length.
+    """The steps of a run after initialization, in C: all steps at once, or single steps of any length.
 
     Args:
-        stages: Stages of steps with any length; None for all steps.
+        stages: Stages of single steps of any length; None for all steps of the run.
 
     Raises:
-        NotCompiled: Reason against C.
+        NotCompiled: The steps cannot be made in C; the message says why.
     """
 
     def __init__(self, master: Master, stages: Sequence[Stage] | None = None) -> None:
@@ -73,7 +73,7 @@ class CompiledSteps:
         self._begin, self._spent_in_python = time.perf_counter(), 0.0  # [s]
         slots: list[Slot] = []
         names = {stage.component.name for stage in stages or system.stages}
-        # Steps of any length need values of sources one by one.
+        # For steps of any length, source values cannot be computed in advance.
         self._sources = [s.component for s in stages or () if isinstance(s.component, SourceBlock)]
         made = [stage for stage in stages or system.stages if stage.component not in self._sources]
         closing = [stage for stage in system.closing if stage.component.name in names]
@@ -94,7 +94,7 @@ class CompiledSteps:
                 f"{system.beside[0]} has values that doubles cannot represent, and Python steps a component"
             )
         self._library = library()  # compiled only if used
-        self._keeping: list[Any] = [slots]  # memory that C uses
+        self._keeping: list[Any] = [slots]  # references to memory that C uses
         for slot, stage in zip(slots, stages, strict=True):
             if slot.version == IN_PYTHON:
                 continue
@@ -116,7 +116,7 @@ class CompiledSteps:
         master.together.append(self)
 
     def _slot(self, component: Any) -> Slot:
-        """Return the slot of a component; raise NotCompiled where Python steps all components."""
+        """Return the slot of a component; raise NotCompiled if Python must step all components."""
         name = component.name
         if not hasattr(component, "slot"):
             raise NotCompiled(f"{name} has a process of its own")
@@ -131,7 +131,7 @@ class CompiledSteps:
         return Slot(IN_PYTHON)
 
     def _step_in_python(self) -> None:
-        """Step the component at which C has returned."""
+        """Step the component for which C has returned."""
         master, plan = self.master, self.plan
         stage, k, start = self.stages[plan.place], plan.next, master.system.start
         actives = master.actives if plan.place < self._count else master.closing
@@ -144,16 +144,16 @@ class CompiledSteps:
         plan.place += 1
 
     def _take_exact(self) -> None:
-        """Take the values beside the row from C."""
+        """Copy the values beside the row from C to Python."""
         self.master.beside[:] = [cell.value(kind) for cell, kind in zip(self._cells, self._types, strict=True)]
 
     def _give_exact(self) -> None:
-        """Give C the values beside the row."""
+        """Copy the values beside the row from Python to C."""
         for cell, kind, value in zip(self._cells, self._types, self.master.beside, strict=True):
             cell.set(kind, value)
 
     def _add_courses(self, slots: Sequence[Slot]) -> None:
-        """Set the courses of inputs, which the steps in Python have found."""
+        """Pass the polynomials of extrapolated and interpolated inputs to C."""
         actives = self.master.actives
         for slot, stage in zip(slots, self.stages, strict=True):
             name = stage.component.name
@@ -169,10 +169,10 @@ class CompiledSteps:
     def _transfers(
         self, transfers: Iterable[Transfer], every: Mapping[str, int] = MappingProxyType({})
     ) -> tuple[int, int]:
-        """Return the number and the address of transfers in the form for C.
+        """Return the number and the address of transfers as C structures.
 
         Args:
-            every: Component → its step; a held value is transferred when its target steps.
+            every: Component → its step in communication steps; a held value is copied when the target component steps.
         """
         first, made, signals = ctypes.addressof(self.master.row), [], self.master.system.signals
         for t in transfers:
@@ -193,16 +193,16 @@ class CompiledSteps:
 
     @property
     def described(self) -> str:
-        """Return the kind of loop, with the components that Python steps."""
+        """Return a phrase on the kind of loop, with the components that Python steps."""
         reasons = "; ".join(dict.fromkeys(self.in_python.values()))
         return f"C, but in Python: {reasons}" if reasons else "C"
 
     def record(self) -> dict[str, Any]:
-        """Return the entry of the manifest: the components that Python has stepped, and their share of the time."""
+        """Return the entry of the manifest: the components stepped in Python, and their share of the time."""
         return {"components": self.in_python, "share": self._spent_in_python / (time.perf_counter() - self._begin)}
 
     def close(self) -> None:
-        """End the threads that have stepped slow FMUs, and free the texts."""
+        """End the threads in which slow FMUs were stepped, and free texts in C's memory."""
         self._library.finish(ctypes.byref(self.plan))
 
     def advance(self, k: int, t: float, until: float) -> None:
@@ -216,7 +216,7 @@ class CompiledSteps:
             self._react(why)
 
     def _call(self, function: Any) -> StopReason:
-        """Call the library; return why it returned."""
+        """Call a function of the library; return why it returned."""
         try:
             return StopReason(function(ctypes.byref(self.plan)))
         finally:
@@ -225,7 +225,7 @@ class CompiledSteps:
                     component.set_time(slot.time)
 
     def _react(self, why: StopReason) -> None:
-        """Do what C cannot; raise the error behind a return. A warning of an FMU is only logged."""
+        """Do what C cannot do, or raise the error for which C returned. A warning of an FMU is only logged."""
         plan, place = self.plan, self.plan.place
         if why == StopReason.ASKED:
             self._step_in_python()
@@ -239,7 +239,7 @@ class CompiledSteps:
         raise AssertionError("C met a value that is no item, and there is none")
 
     def make_all(self) -> None:
-        """Make all steps; errors are those of the Python loop. Source values are prepared for some points at a time."""
+        """Make all steps; errors are those of the Python loop. Source values are computed block by block."""
         master, plan, system = self.master, self.plan, self.master.system
         if master.inbox is not None:
             master.inbox.most = MOST_IN_C
@@ -252,7 +252,7 @@ class CompiledSteps:
             for k, every, source in sources:  # Times are computed as by the sources themselves.
                 values.append(source.over((system.start + (points - every) * master.h) + every * master.h))
                 self.slots[k].prepared, self.slots[k].since = values[-1].ctypes.data, first
-            # C returns at points where Python is to act.
+            # points at which C returns to Python
             plan.last, plan.pause = last, master.next_call(plan.next)
             while True:
                 why = self._call(self._library.run)
@@ -263,7 +263,7 @@ class CompiledSteps:
                     if plan.next == plan.pause:
                         master.change(plan.pause)
                         self._give_exact()
-                        # Events may have changed outputs: the held transfers are made again.
+                        # Events may have changed outputs, so the held values are copied again.
                         plan.place = plan.slots
                         plan.pause = master.next_call(plan.pause + 1)
                     master.tell(plan.next)

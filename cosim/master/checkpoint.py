@@ -1,9 +1,9 @@
-"""Checkpoints of a run: what determines its future, saved between two steps, and a run that goes on from one.
+"""Checkpoints of a run, and runs that continue from a checkpoint.
 
-A checkpoint holds the state of every component that can save it, the memory of the connections, and a hash of the rows
-so far. The rows are in a file of their own, to which the run adds them anyway. If a component cannot save its state,
-all steps are made again and compared with the rows. Anything with `save` and `restore` as in `cosim.blocks.component`
-takes part.
+A checkpoint contains the state of every component that can save its state, the memory of the connections, and a hash of
+the rows so far. The rows themselves are in the file to which the run writes them. If a component cannot save its state,
+a resumed run repeats all steps and compares them with the rows. Every object with `save` and `restore`, as in
+`cosim.blocks.component`, is included.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ from cosim.system.system import System
 if TYPE_CHECKING:
     from cosim.master.master import Master
 
-ROWS, BESIDE, STATE = "rows", "beside", "state"  # files of a run, in one folder
-FORMAT = 1  # version of the content of a checkpoint
-HASHED = 1 << 20  # values hashed at a time
+ROWS, BESIDE, STATE = "rows", "beside", "state"  # names of the files of a run, in one folder
+FORMAT = 1  # version of the checkpoint format
+HASHED = 1 << 20  # values that are hashed at a time
 NOT_RESTORED = (
     "its outputs differ after a saved state is restored; use an FMU that restores its state, or one that does not "
     "declare that it can"
@@ -41,12 +41,12 @@ NOT_RESTORED = (
 
 @dataclass(frozen=True)
 class Continuation:
-    """The rows and the state from which a run goes on.
+    """The rows and the state from which a run continues.
 
     Attributes:
-        exact: Values beside the rows, by row.
+        exact: For each row, the values that doubles cannot represent.
         state: Content of a state file, if any.
-        changes: Changes by observers so far, which are among the events of the system.
+        changes: Changes by observers so far, which have been added to the events of the system.
     """
 
     values: Array
@@ -60,7 +60,7 @@ class Continuation:
         return len(self.values)
 
     def unsaved(self, system: System) -> Sequence[str]:
-        """Return the components without a saved state, because of which all steps are made again."""
+        """Return the components without a saved state; if there are any, all steps are repeated."""
         states = {} if self.state is None else unpack(self.state)["components"]
         return [name for name in system.names if states.get(name) is None]
 
@@ -70,9 +70,9 @@ class Keeping:
     """Settings of the checkpoints of a run.
 
     Attributes:
-        folder: Folder that keeps rows and state while the run lasts; None if only a stop makes a checkpoint.
+        folder: Folder for rows and state during the run; None if a checkpoint is written only when the run is stopped.
         interval: Wall time [s] between two checkpoints.
-        start: Where the run goes on; None for a new run.
+        start: Rows and state from which the run continues; None for a new run.
     """
 
     folder: Path | None = None
@@ -81,7 +81,7 @@ class Keeping:
 
 
 class RowsHash:
-    """SHA-256 of the first rows of a run, continued from call to call."""
+    """SHA-256 of the first rows of a run; each call continues from the previous one."""
 
     def __init__(self) -> None:
         self._rows, self._lines, self._count = hashlib.sha256(), hashlib.sha256(), 0
@@ -101,15 +101,15 @@ class RowsHash:
 
 @dataclass
 class Keeper:
-    """Keeper of a run's checkpoints, in the process that steps it.
+    """Writer of checkpoints, in the process that steps the run.
 
     Attributes:
         place: Folder of the files.
-        asked: Cell that makes the loop call `look`; `ending` tells that the caller wants an end too.
-        interval: Wall time [s] between two checkpoints; None if only a stop makes one.
-        start: Where the run goes on, if it does.
-        elapsed: Wall time [s] that the run took before.
-        repeated: Number of rows that are made again, 0 if all states are restored.
+        asked: [True if the loop must call `look`]; `ending` is true if the caller also requests the end of the run.
+        interval: Wall time [s] between two checkpoints; None if a checkpoint is written only when the run is stopped.
+        start: Rows and state from which the run continues, if any.
+        elapsed: Wall time [s] of the run before it was stopped.
+        repeated: Number of rows whose steps are repeated; 0 if all states are restored.
     """
 
     place: Path
@@ -123,7 +123,7 @@ class Keeper:
     is_over: threading.Event = field(default_factory=threading.Event)
 
     def begin(self, master: Master) -> None:
-        """Go on from `start`, and begin to keep checkpoints."""
+        """Continue from `start`, and begin to write checkpoints."""
         if self.start is not None:
             if _first_difference(master.table[:1], self.start.values[:1]) is not None:
                 raise SimulationError(
@@ -145,10 +145,10 @@ class Keeper:
             self.asked[0] = 1
 
     def _restore(self, master: Master, start: Continuation) -> None:
-        """Restore the states of all components at a stopped run's last row.
+        """Restore the states of all components at the last row of a stopped run.
 
         Raises:
-            SimulationError: The state is of another system, or a component has other outputs.
+            SimulationError: The state belongs to another system, or a component's outputs differ from the last row.
         """
         assert start.state is not None
         state, last = unpack(start.state), start.count - 1
@@ -168,7 +168,7 @@ class Keeper:
                 component.get()
                 if _first_difference(np.array([master.row[outputs]]), start.values[last:, outputs]) is not None:
                     raise SimulationError(component.name, float(master.time[last]), NOT_RESTORED)
-        except (ValueError, LookupError, TypeError, AttributeError, OverflowError) as error:  # of another system
+        except (ValueError, LookupError, TypeError, AttributeError, OverflowError) as error:  # other system
             raise SimulationError(
                 "the run",
                 float(master.time[last]),
@@ -180,7 +180,7 @@ class Keeper:
         master.row_count[0], self.elapsed = start.count, float(state.get("elapsed", 0.0))
 
     def look(self, master: Master, k: int) -> None:
-        """Make a due checkpoint after point k; raise Interrupted on request."""
+        """Write a checkpoint after point k if it is due; raise Interrupted if the caller requests an end."""
         self.asked[0] = 0
         if self.ending[0]:
             self.save(master, k)
@@ -219,7 +219,7 @@ class Keeper:
         self._last = time.monotonic()
 
     def compare_rows(self, master: Master, k: int) -> None:
-        """Raise SimulationError if the rows that are made again, complete at point k, differ from the recorded ones."""
+        """Raise SimulationError if repeated rows, up to point k, differ from the recorded ones."""
         if self.start is None or not 0 < self.repeated <= k:
             return
         self.repeated = 0
@@ -234,6 +234,6 @@ class Keeper:
 
 
 def _first_difference(values: Array, recorded: Array) -> tuple[int, int] | None:
-    """Return row and column of the first difference, None if all values are equal; NaN equals NaN."""
+    """Return row and column of the first difference, or None; NaN counts as equal to NaN."""
     differs = (values != recorded) & ~(np.isnan(values) & np.isnan(recorded))
     return divmod(int(np.argmax(differs)), differs.shape[1]) if differs.any() else None

@@ -1,4 +1,4 @@
-"""Copies of signals, prepared once per run: within the row of doubles, and of values that doubles cannot hold."""
+"""Copies of signals, prepared once per run: within the row of doubles, and of values that doubles cannot represent."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from cosim.blocks.faults import LinkFunction
 from cosim.system.system import System
 from cosim.system.wiring import Transfer, through
 
-Copies = Callable[[int], None]  # makes the copies of a communication point
+Copies = Callable[[int], None]  # function that makes the copies of a communication point
 
 
 class Copying:
-    """Prepared transfers of a run over `steps` steps of `h` [s], with sensor noise and injected faults.
+    """Prepared transfers of a run of `steps` steps of `h` [s], with sensor noise and injected faults.
 
     Attributes:
-        links: Transfer name → conversions of its value.
-        functions: Transfer name → function of (point, value) that makes these.
+        links: Name of a transfer → noise and faults that change its value.
+        functions: Name of a transfer → function of (point, value) that applies them.
     """
 
     def __init__(self, system: System, row: Any, beside: list[Any], steps: int, h: float) -> None:
@@ -29,7 +29,7 @@ class Copying:
         self.functions: dict[str, Callable[[int, Any], Any]] = {}
 
     def of(self, transfers: Iterable[Transfer]) -> Copies:
-        """Return a function that makes transfers: all plain copies within the row at once, then all others."""
+        """Return a function that makes transfers: all plain copies within the row at once, then the others."""
         sources, targets = list[int](), list[int]()  # of plain copies
         others: list[tuple[Any, int, Any, int, Callable[[int, Any], Any]]] = []  # from a place to a place by a function
         for transfer in transfers:

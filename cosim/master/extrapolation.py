@@ -1,10 +1,9 @@
-"""Course of inputs during a communication step: held, or a polynomial through their values at communication points.
+"""Inputs during a communication step: constant, or a polynomial through their values at communication points.
 
-A held input, and one fed by a known signal that is held, has its value of the step's start until the step ends. A
-polynomial of degree d passes through the last d + 1 values: up to the start of the step for inputs whose new value is
-not available yet (extrapolation), up to its end for inputs that have it already (interpolation). An FMU of FMI 2.0 that
-interpolates its inputs gets the value and the derivatives of the polynomial at the start of the step, any other one its
-mean over the step.
+A held input is constant from the start to the end of a step. A polynomial of degree d passes through the last d + 1
+values: up to the start of the step for inputs whose new value is not available yet (extrapolation), up to its end for
+inputs that have it already (interpolation). An FMI 2.0 FMU that interpolates its inputs gets value and derivatives of
+the polynomial at the start of the step. Any other FMU gets the mean of the polynomial over the step.
 """
 
 from __future__ import annotations
@@ -28,16 +27,16 @@ from cosim.system.schedule import Stage
 if TYPE_CHECKING:
     from cosim.master.master import Master
 
-DISPLACEMENT = 1e-3  # of an input, relative to its magnitude, to see whether outputs follow it
-TAIL = 1e-3  # share of a step with the inputs of its end
-SPARE = 4  # stored points beyond those of the polynomial, for steps that are taken back
-StepFunction = Callable[[float, float], None]  # of the start and the length of a step [s]
+DISPLACEMENT = 1e-3  # change of an input, relative to its magnitude, to test whether outputs react
+TAIL = 1e-3  # share of a step, at its end, that is made with the inputs of the step's end
+SPARE = 4  # additional stored points, for steps that are taken back
+StepFunction = Callable[[float, float], None]  # called with the start and the length of a step [s]
 
 
 class Polynomial:
-    """Polynomials of one degree through the last values of several signals, in Newton's form from the last point on.
+    """Polynomials of equal degree through the last values of several signals, in Newton's form.
 
-    Points at or after a new one are dropped, because a step was taken back.
+    A new point replaces all points at the same or a later time, which exist if a step was taken back.
     """
 
     def __init__(self, degree: int) -> None:
@@ -45,13 +44,13 @@ class Polynomial:
         self._points: deque[tuple[float, Array]] = deque(maxlen=degree + 1 + SPARE)
 
     def add(self, t: float, values: Array) -> None:
-        """Add the values of a time."""
+        """Add the values at time t [s]."""
         while self._points and self._points[-1][0] >= t:
             self._points.pop()
         self._points.append((t, values))
 
     def mean(self, t: float, h: float = 0.0) -> Array:
-        """Return the means over an interval from t of length h [s], or the values at t.
+        """Return the mean of each signal over the interval from t to t + h [s]; its value at t for h = 0.
 
         The means of (s − t₀) and (s − t₀)·(s − t₁) are a and a·(a + t₀ − t₁) + h²/12, with a = t − t₀ + h/2.
         """
@@ -74,7 +73,7 @@ class Polynomial:
         return slope + (2.0 * (t - last) + gap) * curvature, 2.0 * curvature
 
     def in_c(self, row: Row, places: Sequence[int], start: float) -> CCourse:
-        """Return the equivalent for the loop in C, with the points up to the start of the steps [s]."""
+        """Return the C structure of the polynomials, with points up to the start of the steps [s]."""
         room, count = self.degree + 1 + SPARE, len(places)
         points = [point for point in reversed(self._points) if point[0] <= start][:room] if count else []
         place = (ctypes.c_void_p * count)(*(ctypes.addressof(row) + 8 * k for k in places))
@@ -86,7 +85,7 @@ class Polynomial:
         return course
 
     def _differences(self) -> tuple[Array | None, Array | None, float]:
-        """Return the first two divided differences, as far as there are points, and the length of the last step."""
+        """Return the first two divided differences (None if there are too few points) and the last step's length."""
         if not self.degree or len(self._points) < 2:
             return None, None, 0.0
         (before, old), (last, new) = self._points[-2], self._points[-1]
@@ -99,23 +98,23 @@ class Polynomial:
 
 
 def read_again(component: Any) -> None:
-    """Put the inputs and get the outputs, without a step and without an event."""
+    """Put the inputs and get the outputs of a component, without a step and without an event."""
     getattr(component, "try_inputs", component.put)()
     component.get()
 
 
 class CourseStep:
-    """A step in which real inputs follow polynomials, which are absent from the row.
+    """A component's step in which real inputs follow polynomials instead of the values in the row.
 
-    Those with the value of the step's start are extrapolated, those with the value of its end interpolated. Afterwards
-    the inputs of the step's end are put, and the outputs that depend directly on them are read. A component that
-    answers only after a step makes a last part of the step with these inputs instead.
+    Inputs that are known up to the step's start are extrapolated; inputs that are known up to its end are interpolated.
+    Afterwards the inputs of the step's end are put, and the outputs with direct feedthrough are read. If outputs react
+    only after a step, the last part of the step is made with the inputs of the step's end instead.
 
     Attributes:
-        old, new: Places of the extrapolated and of the interpolated inputs.
-        past, course: Their polynomials.
-        answers: Whether outputs follow an interpolated input without a step.
-        follows: Whether the component gets derivatives in place of means.
+        old, new: Indices in the row of the extrapolated, and of the interpolated inputs.
+        past, course: Polynomials of the extrapolated, and of the interpolated inputs.
+        answers: True if outputs react to an interpolated input without a step.
+        follows: True if the component gets derivatives of the polynomials instead of means.
         tail: Length of the last part, relative to that of the step.
     """
 
@@ -133,7 +132,7 @@ class CourseStep:
         if not self.answers and description is not None and not takes_any_step(description):
             self.new = []
         self.past, self.course = Polynomial(old_degree), Polynomial(new_degree)
-        self._start: Array | None = self._row[self.new]  # Before the first step, only its end's values are in the row.
+        self._start: Array | None = self._row[self.new]  # before the first step, the row has only its end's values
         self.follows = max(system.courses) > 1 and _follows_derivatives(master, stage, self._names, outputs)
         self.tail = TAIL if self.new and not (self.answers or self.follows) else 0.0
 
@@ -167,7 +166,7 @@ class CourseStep:
             read_again(self.component)
 
     def in_c(self) -> str | tuple[CCourse, CCourse]:
-        """Return both courses for the loop in C, or the reason against it."""
+        """Return both polynomials for the C loop, or the reason why C cannot make the step."""
         if self.tail:
             return f"{self.component.name} has interpolated inputs and responds to them only after a step"
         if self.follows:
@@ -176,7 +175,7 @@ class CourseStep:
         return self.past.in_c(row, self.old, start), self.course.in_c(row, self.new, start)
 
     def _answers(self, outputs: Sequence[int]) -> bool:
-        """Return whether an output follows an interpolated input without a step."""
+        """Return True if an output reacts to an interpolated input without a step."""
         row, answers = self._row, False
         before = row.copy()
         for place in self.new:
@@ -189,9 +188,10 @@ class CourseStep:
 
 
 def _follows_derivatives(master: Master, stage: Stage, names: Sequence[str], outputs: Sequence[int]) -> bool:
-    """Return whether an FMU follows second derivatives of its inputs, seen in two steps that are taken back.
+    """Return True if an FMU uses second derivatives of its inputs, tested by two steps that are taken back.
 
-    Some FMUs that declare so ignore them. The means of a polynomial make a coupling of second order with any FMU.
+    Some FMUs that declare this capability ignore the derivatives. Means of polynomials give a coupling of second order
+    with any FMU.
     """
     component: Any = stage.component
     if not (isinstance(component, FmuBlock) and component.interpolates_inputs and component.rolls_back):

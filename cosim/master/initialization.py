@@ -1,7 +1,7 @@
-"""Initialization of a system: values are exchanged until they settle; then every component starts.
+"""Initialization of a system: values are exchanged until they no longer change; then every component starts.
 
-Values that exchanging does not settle are those of a loop that exists in initialization only, or that no FMU declares.
-The values that connections hold from one exchange to the next are then the unknowns of an equation.
+Values that do not settle belong to a loop that exists only during initialization, or that no FMU declares. The values
+that connections hold from one exchange to the next are then the unknowns of an equation, which is solved.
 """
 
 from __future__ import annotations
@@ -23,14 +23,14 @@ from cosim.scenario.scenario import LoopSettings
 if TYPE_CHECKING:
     from cosim.master.master import Master
 
-EXACT_SWEEPS = 10  # sweeps that must settle exactly; later sweeps settle within a tolerance
-LAST_SWEEP = 50_000  # limit for shrinking changes
-SETTLED_CHANGE = 1e-12  # relative change of a settled value
+EXACT_SWEEPS = 10  # exchanges in which values must settle exactly; later ones allow a tolerance
+LAST_SWEEP = 50_000  # largest number of exchanges while changes shrink
+SETTLED_CHANGE = 1e-12  # largest relative change of a settled value
 SHRINKING_RATIO = 0.9  # ratio of changes below which they shrink, over more sweeps than a chain of connections needs
 
 
 class Initialization:
-    """Components of a run in initialization mode, and the copies between them.
+    """Initialization of the components of a run, with the copies between them.
 
     Args:
         solvers: Solvers of algebraic loops.
@@ -48,19 +48,19 @@ class Initialization:
         self.places = sorted(k for k in held if columns[k] not in signals or not signals[columns[k]].is_whole)
 
     def run(self) -> None:
-        """Exchange values until settled, then end initialization; raise SimulationError after a failure."""
+        """Exchange values until they settle, then end initialization; raise SimulationError if a component fails."""
         is_solved = self._settle()
         before = self._values()
         for component in self.components:
             self.announce(component).start()
         for component in self.components:
             self.announce(component, GET).get()
-        for _ in self.components:  # Some FMUs (20-sim) have valid outputs only after initialization.
+        for _ in self.components:  # some FMUs (20-sim) have valid outputs only after initialization
             if self._values() == before:
                 break
             before = self._values()
             self.sweep()
-        if is_solved and self._grows():  # The loop is there after initialization too.
+        if is_solved and self._grows():  # the loop also exists after initialization
             raise self._not_settled(self.system.columns[self.places[0]], 1)
 
     def _not_settled(self, name: str, count: int) -> SimulationError:
@@ -72,7 +72,7 @@ class Initialization:
         )
 
     def _settle(self) -> bool:
-        """Exchange values until they settle; solve for them if their changes do not shrink, and return whether so."""
+        """Exchange values until they settle. If changes do not shrink, solve for them and return True."""
         earlier, period, first = math.inf, EXACT_SWEEPS + len(self.system.held), np.zeros(len(self.places))
         for sweep in range(1, LAST_SWEEP + 1):
             before, row = self._values(), list(self.row)
@@ -81,7 +81,7 @@ class Initialization:
             except SimulationError as error:
                 if sweep <= EXACT_SWEEPS or self.ends_run(error):
                     raise
-                break  # The values of a loop grew from exchange to exchange.
+                break  # the values of a loop grew with each exchange
             if sweep == 1:
                 first = self.signals[self.places]
             if self._values() == before or (sweep > EXACT_SWEEPS and is_settled(row, self.row)):
@@ -98,7 +98,7 @@ class Initialization:
         return True
 
     def _solve(self, start: Array) -> bool:
-        """Solve for the held values from a start; return whether there is a solution."""
+        """Solve for the held values, beginning at `start`; return True if there is a solution."""
         settings = self.system.solving or LoopSettings()
         roots = RootFinding(settings.tolerance, settings.iterations, np.ones(start.size), np.full(start.size, True))
         if start.size <= MOST_DIFFERENCES:
@@ -111,7 +111,7 @@ class Initialization:
         return bool(outcome.converged and is_finite and self._exchanged(outcome.z) is not None)
 
     def _exchanged(self, z: Array) -> Array | None:
-        """Return the held values after an exchange that begins with z; None where it is refused."""
+        """Return the held values after an exchange that begins with values z; None if a component refuses them."""
         self.signals[self.places] = z
         try:
             self.sweep()
@@ -122,14 +122,14 @@ class Initialization:
         return self.signals[self.places]
 
     def _slopes(self, z: Array, g: Array, *, fresh: bool = True) -> Array:
-        """Return the slopes of an exchange by differences."""
+        """Return the Jacobian of an exchange by differences."""
         shifts = np.diag(SHIFT * np.maximum(1.0, np.abs(z)))
         moved = [self._exchanged(z + shift) for shift in shifts]
         columns = [np.zeros(z.size) if each is None else each - g for each in moved]
         return np.array(columns).T / np.diag(shifts)
 
     def _grows(self) -> bool:
-        """Return whether deviations of held values grow from exchange to exchange after initialization."""
+        """Return True if deviations of held values grow with each exchange after initialization."""
         z = self.signals[self.places]
         g = self._exchanged(z)
         if g is None or z.size > MOST_DIFFERENCES:
@@ -139,7 +139,7 @@ class Initialization:
         return bool(np.max(np.abs(np.linalg.eigvals(slopes))) >= 1.0)
 
     def ends_run(self, error: SimulationError) -> bool:
-        """Return whether an error of an exchange is more than the refusal of values."""
+        """Return True if an error during an exchange ends the run; False if a component only refuses values."""
         return isinstance(error, EarlyEnd) or any(map(is_lost, self.components))
 
     def sweep(self) -> None:
@@ -158,5 +158,5 @@ class Initialization:
 
 
 def is_settled(before: Iterable[float], after: Iterable[float]) -> bool:
-    """Return whether all values agree with those of the previous exchange, within rounding."""
+    """Return True if all values equal those of the previous exchange, within rounding."""
     return all(abs(a - b) <= SETTLED_CHANGE * max(1.0, abs(b)) for a, b in zip(after, before, strict=True))

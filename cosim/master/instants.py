@@ -1,17 +1,18 @@
-"""Policy of steps with event mode and clocks: from instant to instant.
+"""Step policy with event mode and clocks: components are stepped from instant to instant.
 
 An instant is a communication point, a tick of a clock, or an event at which an FMU returned early from its step. All
-components are stepped to it. Then the FMUs concerned enter event mode, and values and clocks are exchanged in
+components are stepped to the instant. Then the FMUs concerned enter event mode, and values and clocks are exchanged in
 superdense time until nothing changes:
 
     enter, [tick, (put, get, fired)* until settled, update]* until no FMU needs another round, leave
 
-Rows belong to communication points only and hold the values after the instant.
+Rows are recorded at communication points only, with the values after the instant.
 
-An early return ends the step of all. Components that have gone further go back by restoring their state. Therefore
-components that can go back step first, then those that may return early, then all others, with those that follow their
-outputs. Where two may return early and cannot go back, the one that did so last steps first; the other may be ahead of
-an event, which a note tells. A component that makes only whole steps gets an event within a step at its end.
+If one component returns early, the step ends there for all components. A component that was stepped further restores
+its state and repeats the step. Therefore components that can restore their state step first, then components that may
+return early, then all others with the components that need their outputs. If two components may return early and cannot
+restore their state, the one with the last early return steps first; the other may be ahead of an event, which is
+reported in a note. A component that accepts only whole steps gets an event within a step at the end of the step.
 """
 
 from __future__ import annotations
@@ -36,24 +37,24 @@ from cosim.system.schedule import Stage
 if TYPE_CHECKING:
     from cosim.master.master import Master
 
-MOST_SWEEPS = 1000  # exchanges of values at one instant of superdense time
-MOST_RECORDED = 1000  # events that the record of a run holds
-SOURCES, REPEATABLE, EARLY, LAST, WHOLE = range(5)  # ranks of the order within a step
+MOST_SWEEPS = 1000  # exchanges of values at one instant
+MOST_RECORDED = 1000  # recorded events of a run
+SOURCES, REPEATABLE, EARLY, LAST, WHOLE = range(5)  # ranks for the order within a step
 
 
 class Part:
     """A component in the order of a step.
 
     Attributes:
-        active: Its step, without known values at the end; `late` sets these.
-        time: Time [s] to which it has come.
-        exchange: Calls of model exchange, if it steps to any event by them.
+        active: Step of the component, without the known values at its end, which `late` sets.
+        time: Time [s] up to which the component has been stepped.
+        exchange: Instance for model exchange, if the component can stop at any event.
         rank: SOURCES, REPEATABLE, EARLY (may return early, cannot go back), LAST, or WHOLE (makes whole steps only).
-        lead: Longest time [s] by which it was ahead of an event.
-        ahead: Number of such events.
-        wires: Clock → connected input clocks, each with its component.
-        ticked: Clocks that tick others as soon as outputs are read.
-        pending: Clocks to tick when it has come to the time.
+        lead: Longest time [s] by which the component was ahead of an event.
+        ahead: Number of events that the component was ahead of.
+        wires: Clock → connected input clocks, with their components.
+        ticked: Clocks that have ticked and trigger connected clocks after outputs are read.
+        pending: Clocks to tick when the component has been stepped to the instant.
     """
 
     def __init__(self, master: Master, stage: Stage) -> None:
@@ -80,38 +81,39 @@ class Part:
             self.rank = REPEATABLE
         elif self.exchange is not None:
             self.exchange.stops_at_events = True
-            # Without completed steps, a step changes the continuous states only, up to its first event.
+            # An FMU that needs no calls of completedIntegratorStep changes only its continuous states up to its first
+            # event.
             self.rank = EARLY if self.exchange.needs_completed_steps else REPEATABLE
         elif self.may_return:
             self.rank = EARLY
 
     def save(self) -> Any:
-        """Return the state, None if not restorable."""
+        """Return the state, None if it cannot be restored."""
         if self.rank not in (SOURCES, REPEATABLE):
             return None
         return self.time, self.row[self.inputs], self.state_owner.save_state() if self.rank == REPEATABLE else None
 
     def go_back(self, state: Any) -> None:
-        """Take back a state."""
+        """Restore a saved state."""
         self.time, self.row[self.inputs], saved = state
         if self.rank == REPEATABLE:
             self.state_owner.restore_state(saved)
             self.component.instance.time = self.time
 
     def forget(self, state: Any) -> None:
-        """Free a state that is not needed."""
+        """Free a saved state that is not needed."""
         if self.rank == REPEATABLE and self.exchange is None:
             self.component.free_state(state[-1])
 
 
 class Instants(Policy):
-    """The stepping of a run with event mode.
+    """Step policy of a run with event mode.
 
     Attributes:
-        copies: Copies to the components that take part in the present instant, those of communication point `point`.
-        here: FMUs with event mode that have come to it; those in `joined` are in event mode.
-        events: First MOST_RECORDED handled events and ticks: time [s], component, cause.
-        counts: Component → number of all by cause.
+        copies: Copies to the components of the current instant, with noise and faults of communication point `point`.
+        here: FMUs with event mode that have been stepped to the instant; FMUs in `joined` are in event mode.
+        events: First MOST_RECORDED events and ticks: time [s], component, cause.
+        counts: Component → cause → number of all events and ticks.
     """
 
     reason = "event mode"
@@ -136,7 +138,7 @@ class Instants(Policy):
             by_name[owner].wires.setdefault(clock, []).append((by_name[goal], name))
         returning = [part for part in self.parts if part.rank != WHOLE and part.may_return]
         if returning:
-            last = set[str]()  # components that step after all that may return early, and those that follow them
+            last = set[str]()  # components to step after all that may return early, and their targets
             for part, stage in zip(self.parts, master.system.stages, strict=True):
                 if part.rank == REPEATABLE and any(t.origin.partition(".")[0] in last for t in stage.pulls):
                     part.rank = LAST
@@ -146,19 +148,19 @@ class Instants(Policy):
             self.parts.sort(key=lambda part: (min(part.rank, LAST), part not in has_clocks))
         self.last_early = max(map(self.parts.index, returning), default=-1)
         alone = [part for part in self.fmus if part.rank == EARLY]
-        if len(alone) > 1:  # Their leads are bounded.
+        if len(alone) > 1:  # leads of these components are limited
             for part in alone:
                 part.component.ask_for_small_steps()
 
     # -- course ----------------------------------------------------------------------------------------
 
     def advance_to(self, k: int) -> None:
-        """Step to point k, and handle the events before it."""
+        """Step to communication point k, and handle the events before it."""
         t, end, control = self.begin + (k - 1) * self.h, self.begin + k * self.h, self.master.controlled
         self.close = CLOSE * self.h + 2 * ULPS * math.ulp(max(abs(t), abs(end)))
         while True:
             flexible = [part for part in self.parts if part.rank != WHOLE]
-            times = [end, *(part.time for part in flexible)]  # of components that are ahead
+            times = [end, *(part.time for part in flexible)]  # includes times of components that are ahead
             times += [part.component.due for part in self.fmus if part.rank != WHOLE]
             target = min(time for time in times if time > t + self.close)
             target = end if target > end - self.close else target
@@ -175,7 +177,7 @@ class Instants(Policy):
             self._advance([part for part in self._due(k) if part.rank == WHOLE], end, k)
 
     def settle(self, k: int) -> None:
-        """Handle the instant of point k, with the changes made there."""
+        """Handle the instant at communication point k, with changes of parameters and inputs there."""
         t = self.begin + k * self.h
         if k:
             self._instant(t, k, self._due(k))
@@ -184,7 +186,7 @@ class Instants(Policy):
         self._handle(self.fmus)
 
     def finish(self) -> None:
-        """Note how far components were ahead of events, and what the control of the steps notes."""
+        """Record notes on components that were ahead of events, and notes of the step control."""
         for part in self.parts:
             if part.lead:
                 self.master.notes.append(
@@ -198,11 +200,11 @@ class Instants(Policy):
     # -- steps ---------------------------------------------------------------------------------------
 
     def _due(self, k: int) -> list[Part]:
-        """Return the components that step to point k."""
+        """Return the components whose step ends at communication point k."""
         return [part for part in self.parts if part.rank != WHOLE or k % part.every == 0]
 
     def _advance(self, parts: Sequence[Part], target: float, k: int) -> float:
-        """Step to a time [s] or the first early return; return the time reached."""
+        """Step components to a time [s] or to the first early return; return the time reached."""
         saved: dict[Part, Any] = {}  # state before the step
         end = self.begin + k * self.h
         while True:
@@ -250,7 +252,7 @@ class Instants(Policy):
     # -- instants --------------------------------------------------------------------------------
 
     def _instant(self, t: float, k: int, parts: Sequence[Part]) -> None:
-        """Exchange values and handle events of components that have come to a time."""
+        """Exchange values and handle events of components that have been stepped to time t [s]."""
         here = [part for part in self.fmus if part in parts and abs(part.time - t) <= self.close]
         self._begin_instant(t, k, parts, here)
         for part in self.exchanges:
@@ -280,7 +282,7 @@ class Instants(Policy):
         self._handle(asked)
 
     def _begin_instant(self, t: float, k: int, parts: Iterable[Part], here: Sequence[Part]) -> None:
-        """Copy all values to components, and note the inputs of FMUs with event mode."""
+        """Copy all values to components, and record the inputs of FMUs with event mode."""
         self.time, self.point, self.here, self.joined = t, k, here, []
         names = tuple(part.component.name for part in parts)
         if names not in self._copies:
@@ -293,7 +295,7 @@ class Instants(Policy):
             part.component.look()
 
     def _handle(self, asked: Sequence[Part]) -> None:
-        """Iterate until no FMU needs another round."""
+        """Exchange values and update discrete states until no FMU needs another round."""
         for part in asked:
             fmu = part.component
             if fmu.asks:
@@ -327,7 +329,7 @@ class Instants(Policy):
         )
 
     def _settle(self) -> None:
-        """Exchange values and clocks until they settle."""
+        """Exchange values and clocks until they no longer change."""
         master = self.master
         for sweep in range(1, MOST_SWEEPS + 1):
             before, row, beside = bytes(master.row), list(master.row), list(master.beside)
@@ -362,14 +364,14 @@ class Instants(Policy):
         )
 
     def _unsettled(self, before: bytes, part: Part, reason: str) -> SimulationError:
-        """Return the error of values that do not settle, about the first changed signal or a component."""
+        """Return the error for values that do not settle; it names the first changed signal or a component."""
         old = memoryview(before).cast("d")
         pairs = zip(self.master.system.columns, old, self.master.row, strict=True)
         name = next((column for column, a, b in pairs if a != b), part.component.name)
         return SimulationError(name, self.time, f"it still changes after {reason}")
 
     def _propagate(self) -> None:
-        """Copy all values, also through model exchange."""
+        """Copy all values, also from inputs to outputs of FMUs for model exchange."""
         self.copies(self.point)
         for part in self.exchanges:
             self.call(part.component, PUT).put()
@@ -378,7 +380,7 @@ class Instants(Policy):
             self.copies(self.point)
 
     def _join(self, part: Part) -> None:
-        """Enter event mode, once in an instant."""
+        """Let an FMU enter event mode, unless it has done so in this instant."""
         if part not in self.joined:
             self.joined.append(part)
             self.call(part.component).enter()
@@ -388,7 +390,7 @@ class Instants(Policy):
         return [*part.component.due_clocks(self.time, self.close), *part.pending]
 
     def _tick(self, part: Part) -> None:
-        """Tick the clocks of a component that are due; raise SimulationError for one that is too fast."""
+        """Tick the clocks of a component that are due; raise SimulationError if a clock ticks too fast."""
         if not (names := self._ticks(part)):
             return
         part.pending = []

@@ -1,13 +1,13 @@
-"""Algebraic loops of a run: inputs and outputs of the same time that depend on each other.
+"""Algebraic loops of a run: inputs and outputs that depend on each other at the same time.
 
-The unknowns z are the inputs fed by connections that lead back in the order of a loop's components. One sweep through
-the components gives g(z), the values that these connections return; the solution is g(z) = z. Its slopes are chained
-from those of the components: their directional derivatives, or differences.
+The unknowns z are the inputs whose connections come from a later component in the order of the loop. Evaluating the
+components in order gives g(z), the values at the sources of these connections; the solution is g(z) = z. The Jacobian
+of g is a product of the components' Jacobians, which are directional derivatives or differences.
 
-At a communication point the components have stepped with the inputs of the point before. They are then asked for
-outputs to other inputs without a step. An FMU that answers only after a step repeats the step from its saved state with
-each try, so that its input acts during the whole step. If it cannot save its state, the loop is not solved, but
-coupled with a delay (`DelayedLoop`).
+At a communication point, the components have stepped with the inputs of the previous point. Their outputs for other
+inputs are then computed without a step. If outputs of an FMU react only after a step, each trial repeats the step from
+the saved state, so that the trial input acts during the whole step. If the FMU cannot save its state, the loop is not
+solved, but coupled with a delay (`DelayedLoop`).
 """
 
 from __future__ import annotations
@@ -36,47 +36,48 @@ from cosim.system.wiring import Transfer
 if TYPE_CHECKING:
     from cosim.master.master import Master
 
-SHIFT = 1e-5  # displacement of an input for differences, relative to its magnitude
-PROBES = (1e-3, -1e-3, 0.5, -0.5)  # displacements that show whether an output depends on an input
+SHIFT = 1e-5  # change of an input for differences, relative to its magnitude
+PROBES = (1e-3, -1e-3, 0.5, -0.5)  # relative changes of an input, to test whether an output depends on it
 MOST_ITEMS = 4  # tried items of an enumeration
-REACTION = 1e-9  # smallest relative change of an output that counts
-ROUNDED = 1e-13  # residual of rounding, relative to the magnitude
-PROPOSED = 1e-8  # tolerance that a message proposes for a smaller one
-UNIT_GAIN = 1e-8  # smallest singular value of I − ∂g/∂z that counts
-UNIT_GAIN_POINTS = 0.0, 1.0, -0.37  # displacements in magnitudes of the unknowns
-RANGE = -3, 5  # exponents of 2 of other first points, where a component refuses the inputs
-MOST_DIFFERENCES = 50  # inputs of a loop without derivatives, beyond which Newton's method costs too much
+REACTION = 1e-9  # least relative change of an output that counts as a reaction
+ROUNDED = 1e-13  # residual due to rounding, relative to the magnitude
+PROPOSED = 1e-8  # tolerance that a message proposes if a tighter one is missed
+UNIT_GAIN = 1e-8  # least singular value of I − ∂g/∂z that counts as nonzero
+UNIT_GAIN_POINTS = 0.0, 1.0, -0.37  # displacements for this test, in magnitudes of the unknowns
+RANGE = -3, 5  # exponents of 2 for other start points, if a component refuses the inputs
+MOST_DIFFERENCES = 50  # inputs of a loop without directional derivatives for which Newton's method is still affordable
 
-DOUBLINGS = 12  # of the residual, for the judgement whether it grows without bound
-EVEN = 1.5  # ratio of the steps that the second and the first half of these doublings take
-LARGE = 1e9  # residual in nominal values from which on such growth ends a run
+DOUBLINGS = 12  # number of doublings of the residual after which its growth is judged
+EVEN = 1.5  # largest ratio of steps for the second and first half of these doublings in exponential growth
+LARGE = 1e9  # residual, in nominal values, above which exponential growth ends the run
 
 
 class DelayedLoop:
-    """Residuals at the ends of the steps of a loop that is coupled with a delay, not solved.
+    """Residuals of a loop that is coupled with a delay, not solved, at the end of each step.
 
-    A component that answers only after a step, and cannot save its state, makes each step with the inputs z of the
-    step's start. At its end the loop returns g(z). Motion makes the residual g(z) − z of the order of the step. With a
-    loop gain G it is multiplied by G from step to step, so that the coupling diverges for |G| > 1.
+    A component whose outputs react only after a step, and which cannot save its state, makes each step with the inputs
+    z of the step's start. At the end of the step, the loop gives g(z). While signals change, the residual g(z) − z is
+    proportional to the step. With a loop gain G, it is multiplied by G in each step, so that the coupling diverges for
+    |G| > 1.
 
-    Exponential growth is told from other growth by the steps in which the residual doubles: their number is constant.
-    That of a polynomial, or of values that settle, rises.
+    Exponential growth differs from other growth by the number of steps in which the residual doubles: this number is
+    constant. It increases for polynomial growth, and for values that settle.
 
     Args:
         reason: Why the loop is not solved.
-        places: Places of the delayed inputs in the row, `names` of them, and their nominal values.
+        places: Indices of the delayed inputs in the row; further arguments are their names and nominal values.
     """
 
     def __init__(self, reason: str, places: Sequence[int], names: Sequence[str], nominal: Sequence[float]) -> None:
         self.reason, self.places, self._names, self._nominal = reason, places, names, np.array(nominal)
         self._shares = array("d")  # residual of each step, relative to its signal
-        self._largest = 0.0  # residual in nominal values
+        self._largest = 0.0  # largest residual so far, in nominal values
         self.worst: dict[str, Any] = {}
         self.last: dict[str, Any] = {}
-        self._doublings: list[tuple[int, float]] = []  # step and size at which the residual had doubled again
+        self._doublings: list[tuple[int, float]] = []  # step and size of the residual at each doubling
 
     def note(self, t: float, assumed: Array, returned: Array) -> bool:
-        """Note a residual; return whether it grows without bound."""
+        """Record a residual; return True if it grows without bound."""
         residual = returned - assumed
         sizes = np.abs(residual) / self._nominal
         worst = int(np.argmax(sizes))
@@ -95,7 +96,7 @@ class DelayedLoop:
         return steps[-1] - middle <= EVEN * (middle - steps[0])
 
     def record(self) -> dict[str, Any]:
-        """Return the entry of the manifest."""
+        """Return the entry of the loop in the manifest."""
         if not self._shares:
             return {"reason": self.reason}
         shares = np.frombuffer(self._shares)
@@ -104,14 +105,14 @@ class DelayedLoop:
 
 
 class Member:
-    """A component of a loop, with the places in the row of its inputs and outputs within the loop.
+    """A component of a loop, with the indices in the row of its inputs and outputs within the loop.
 
     Attributes:
-        nominal: Input → nominal value, 1 if none is among `declared`.
-        repeats: Whether its outputs follow its inputs only after a step, which is therefore repeated.
-        late: Why its inputs act only in the next step, "" if they do not.
-        reacts: Whether an output (row) followed an input (column) in initialization.
-        promised: Whether its last slopes were its own directional derivatives.
+        nominal: Input → nominal value; 1 for an input that is not in `declared`.
+        repeats: True if outputs react to inputs only after a step, which is therefore repeated.
+        late: Reason why inputs act only in the next step; "" if they act at once.
+        reacts: True where an output (row) reacted to an input (column) during initialization.
+        promised: True if the last Jacobian consisted of directional derivatives of the FMU.
     """
 
     def __init__(self, master: Master, component: Any, loop: Loop) -> None:
@@ -135,7 +136,7 @@ class Member:
         self._step: tuple[float, float] = (0.0, 0.0)
 
     def begin_step(self, t: float, h: float) -> None:
-        """Step, or save the state for repeated steps."""
+        """Step; if the step will be repeated, only save the state."""
         if self.repeats:
             self._state, self._is_stepped, self._step = self.call().save_state(), False, (t, h)
             return
@@ -143,7 +144,7 @@ class Member:
         self.call(ADVANCE).advance(t, h)
 
     def evaluate(self) -> None:
-        """Write the outputs to the current inputs."""
+        """Compute the outputs for the current inputs, and write them to the row."""
         if self._state is not None and self._is_stepped:
             self.call().restore_state(self._state, keep=True)
         component = self.call(PUT)
@@ -154,7 +155,7 @@ class Member:
         self.call(GET).get()
 
     def end_step(self) -> None:
-        """Make the event of changed inputs; free the state."""
+        """Handle the event of changed inputs in model exchange; free the saved state."""
         if self._state is not None:
             state, self._state = self._state, None
             self.call().free_state(state)
@@ -163,7 +164,7 @@ class Member:
             self.call(GET).get()
 
     def try_at(self, place: int, value: float) -> Array | None:
-        """Return the outputs to another input, None if refused."""
+        """Return the outputs for another value of an input; None if the component refuses the value."""
         before, self.row[place] = self.row[place], value
         try:
             self.evaluate()
@@ -176,18 +177,18 @@ class Member:
         return self.signals[self.outputs]
 
     def size(self, place: int) -> float:
-        """Return the size of an input: its magnitude, at least its nominal value."""
+        """Return the magnitude of an input, at least its nominal value."""
         return max(abs(self.row[place]), self.nominal[place])
 
     def reactions(
         self, places: Sequence[int], least: float = REACTION, noise: Array | float = 0.0
     ) -> tuple[Flags, Flags]:
-        """Return whether outputs (rows) follow inputs (columns) without a step, and whether inputs take other values.
+        """Return where outputs (rows) react to inputs (columns) without a step, and which inputs accept other values.
 
         Args:
-            places: Inputs.
-            least: Smallest change of an output that counts, relative to its value.
-            noise: The same for each output, absolute.
+            places: Indices of the inputs in the row.
+            least: Least change of an output, relative to its value, that counts as a reaction.
+            noise: Least absolute change that counts, for each output.
         """
         base = self.signals[self.outputs]
         follows, accepts = np.zeros((len(self.outputs), len(places)), bool), np.zeros(len(places), bool)
@@ -213,8 +214,8 @@ class LoopSolver:
     """Solver of an algebraic loop of a run.
 
     Attributes:
-        name: Components of the loop in a message.
-        names: Their names; that of the last one is `last`.
+        name: Text that names the components of the loop in messages.
+        names: Names of the components; `last` is the last one.
     """
 
     def __init__(self, loop: Loop, master: Master) -> None:
@@ -239,18 +240,18 @@ class LoopSolver:
         is_assumed = ~np.isin(self.unknowns, [place for member in self.members for place in member.declared])
         self._roots = RootFinding(self.settings.tolerance, self.settings.iterations, scale, is_assumed)
         self._seen: dict[int, float] = {}  # place of a signal → its largest magnitude
-        self._rough: list[tuple[float, float, float, str]] = []  # time, residual, value and signal of rough solutions
+        self._rough: list[tuple[float, float, float, str]] = []  # time, residual, value and signal of inexact solutions
         self._point, self._at_start = 0, 0
         self._iterations: list[int] = []
         self._guesses: list[Array] = []
         self._refusal: SimulationError | None = None
-        self._delayed: DelayedLoop | None = None  # if the loop is not solved
-        self._is_warned = False  # of that, before the first step
+        self._delayed: DelayedLoop | None = None  # used if the loop is not solved
+        self._is_warned = False  # True if a warning about the delay was given before the first step
 
     # -- solutions ----------------------------------------------------------------------------------
 
     def solve_start(self) -> None:
-        """Solve the loop in initialization."""
+        """Solve the loop during initialization."""
         if not self._guesses:
             before = self.signals[self.unknowns]
             for member in self.members:
@@ -267,13 +268,13 @@ class LoopSolver:
         self._at_start += self._solve(self.start)
 
     def begin(self) -> list[str]:
-        """Find components that answer only after a step.
+        """Find components whose outputs react only after a step.
 
         Returns:
             Warnings.
 
         Raises:
-            SimulationError: The steps of such a component cannot be repeated.
+            SimulationError: Steps of a component must be repeated, but the component does not support this.
         """
         z = self.signals[self.unknowns]
         slopes = self._roots.slopes if self._roots.slopes is not None else self._slopes(z, z, fresh=False)
@@ -290,7 +291,7 @@ class LoopSolver:
         return warnings
 
     def step(self, t: float, h: float) -> None:
-        """Step from t to t + h [s] and solve the loop there.
+        """Step the components from t to t + h [s], and solve the loop at the end.
 
         Raises:
             SimulationError: A component failed, the iterations do not converge, or values grow without bound.
@@ -327,7 +328,7 @@ class LoopSolver:
             raise SimulationError("algebraic loop", t + h, message)
 
     def _set_late(self, *, repeats: bool) -> None:
-        """Copy known values of the end of a step, to components whose step is repeated after the last repetition."""
+        """Copy known values at the end of a step; for components with repeated steps, after the last repetition."""
         for member in self.members:
             if member.repeats == repeats:
                 self._known_into[member.component.name](self._point)
@@ -352,7 +353,7 @@ class LoopSolver:
         }
 
     def notes(self) -> list[str]:
-        """Return warnings of an unsolved loop and of rough solutions."""
+        """Return warnings about an unsolved loop and about inexact solutions."""
         notes: list[str] = []
         if self._delayed is not None and self._delayed.worst and not self._is_warned:
             worst, relative = self._delayed.worst, self._delayed.record()["relative"]
@@ -374,7 +375,7 @@ class LoopSolver:
 
     @property
     def method(self) -> str:
-        """Return the method of solution."""
+        """Return a phrase for the method of solution."""
         if self.settings.method is not None:
             return self.settings.method
         differences = sum(len(m.inputs) for m in self.members if not m.promised)
@@ -412,7 +413,7 @@ class LoopSolver:
                 more = (
                     f", or a larger tolerance, because this residual is rounding (loops: {{tolerance: {PROPOSED:g}}})"
                 )
-            elif count >= self.settings.iterations:  # with fewer, no step leads nearer
+            elif count >= self.settings.iterations:  # otherwise no step has reduced the residual
                 more = f", or more iterations (loops: {{iterations: {5 * self.settings.iterations}}})"
             message = (
                 f"{self.name} does not converge: after {count} iterations {signal} is {value:.6g} with the "
@@ -422,7 +423,7 @@ class LoopSolver:
         raise SimulationError("algebraic loop", t, message)
 
     def _has_unit_gain(self, z: Array) -> bool:
-        """Return whether I − ∂g/∂z is singular at several points about z, so that no solution is unique."""
+        """Return True if I − ∂g/∂z is singular at several points around z, so that no solution is unique."""
         if z.size > MOST_DIFFERENCES:
             return False
         for share in UNIT_GAIN_POINTS:
@@ -436,7 +437,7 @@ class LoopSolver:
         return True
 
     def _outcome(self, z: Array) -> Outcome:
-        """Return the end of the iterations from z."""
+        """Return the result of the iterations that start at z."""
         shifts = (z + s * self._roots.scale for k in range(*RANGE) for s in (2.0**k, -(2.0**k)))
         for start in (z, *self._guesses, *shifts):
             if self.method == "newton":
@@ -450,7 +451,7 @@ class LoopSolver:
         raise self._refusal
 
     def _sweep(self, z: Array) -> Array | None:
-        """Return g(z), None where a component refuses its inputs."""
+        """Return g(z); None if a component refuses its inputs."""
         self.signals[self.unknowns] = z
         try:
             for member in self.members:
@@ -473,7 +474,7 @@ class LoopSolver:
         return returned
 
     def _slopes(self, z: Array, g: Array, *, fresh: bool) -> Array:
-        """Return ∂g/∂z, chained from components and transfers."""
+        """Return the Jacobian ∂g/∂z, a product of the Jacobians of components and transfers."""
         self.signals[self.unknowns] = z
         along = dict(zip(self.unknowns, np.eye(z.size), strict=True))
         for member in self.members:
@@ -485,7 +486,7 @@ class LoopSolver:
         return np.array([self._gain(t) * along[t.source] for t in self.back])
 
     def _member_slopes(self, member: Member, *, fresh: bool) -> Array:
-        """Return the slopes of a component's outputs: its directional derivatives, or differences."""
+        """Return the Jacobian of a component, from its directional derivatives or differences."""
         shape = len(member.outputs), len(member.inputs)
         promise = getattr(member.component, "slopes", None)
         member.promised = False
@@ -509,16 +510,16 @@ class LoopSolver:
         return slopes
 
     def _gain(self, transfer: Transfer) -> float:
-        """Return the slope of a transfer."""
+        """Return the derivative of a transfer's target value by its source value."""
         value, function = self.row[transfer.source], self._functions[transfer.name]
         ahead = function(self._point, value + 1.0)
-        return float(ahead - function(self._point, value))  # This call leaves the memory of faults as it was.
+        return float(ahead - function(self._point, value))  # this call does not change the memory of faults
 
     def _find_repeats(self, member: Member, gain: float) -> list[str]:
-        """Note whether steps must be repeated, because outputs follow inputs only after a step; return warnings.
+        """Determine if steps must be repeated, because outputs react to inputs only after a step; return warnings.
 
         Args:
-            gain: Loop gain in initialization: the largest growth of a deviation around the loop.
+            gain: Loop gain during initialization: the largest factor by which a deviation grows around the loop.
         """
         member.evaluate()
         reacts, _ = member.reactions(member.inputs)
@@ -556,7 +557,7 @@ class LoopSolver:
 
 
 def is_lost(component: Any) -> bool:
-    """Return whether a component is an FMU that is lost after Fatal."""
+    """Return True for an FMU that cannot be called any more after a fatal error."""
     return isinstance(component, FmuBlock) and component.instance.fmu is None
 
 

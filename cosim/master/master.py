@@ -1,14 +1,15 @@
-"""The master: steps all components of a system, with a row per communication point.
+"""The master, which steps all components of a system and records a row per communication point.
 
 All systems are stepped by one loop. `Master.advance` steps each component once, in the order of the coupling algorithm.
-A policy makes the way from one communication point to the next of one or more such steps: equal steps, steps controlled
-by their error (`policies`), or steps from event to event (`instants`). At the communication point follow changes of
-parameters and inputs, events, observers, the row, and a checkpoint if one is due. C makes equal steps faster.
+A policy divides the interval between two communication points into one or more such steps: equal steps, steps
+controlled by their error (`policies`), or steps from event to event (`instants`). At the communication point, the
+master then applies changes of parameters and inputs, handles events, calls observers, records the row, and writes a
+checkpoint if it is due. Equal steps can be made in C, which is faster.
 
-Coupling algorithms differ in the order of stages, in the transfers right before a stage (`Stage.pulls`) and in the
-transfers at the end of the step (`System.held`). Values of known signals that outputs follow are set right after the
-step (`Stage.late`), and the outputs are read again. A component with a longer step of its own makes the step at its
-end; until then its outputs are held.
+Coupling algorithms differ in the order of stages, in the transfers just before a stage (`Stage.pulls`) and in the
+transfers at the end of the step (`System.held`). Values of known signals with direct feedthrough are set just after the
+step (`Stage.late`), and the outputs are read again. A component with a longer step of its own is stepped when this step
+ends; until then, its outputs are held.
 """
 
 from __future__ import annotations
@@ -57,12 +58,12 @@ from cosim.system.control import rollback_obstacle
 from cosim.system.schedule import Stage, batches
 from cosim.system.system import System
 
-Progress = Callable[[int], None]  # receives the current communication point
+Progress = Callable[[int], None]  # called with the current communication point
 PROGRESS_EVERY = 50
 
 
 class StoppedRun(Exception):
-    """A run stopped early, with the error and the rows so far."""
+    """A run that stopped early, with its error and the rows so far."""
 
     def __init__(self, error: SimulationError, results: Results) -> None:
         super().__init__(str(error))
@@ -85,8 +86,8 @@ def simulate(
 
     Args:
         rows: Storage of the rows, shape (steps + 1, columns); by default in memory.
-        in_c: Whether to use the C loop if possible; see `Results.loop`.
-        inbox: Changes that arrive during the run.
+        in_c: Use the C loop if possible; `Results.loop` says if it was used.
+        inbox: Changes of parameters and inputs that arrive during the run.
 
     Raises:
         StoppedRun: A component failed.
@@ -100,19 +101,19 @@ def simulate(
 
 
 class Master:
-    """The master: a run from the opening to the closing of its components, with its signals and its table of rows.
+    """A run from the opening to the closing of its components, with its signals and its table of rows.
 
     Attributes:
-        row: Signals of the run as an array of C; `values` are the same memory.
-        beside: Values that no double holds.
-        last: Last communication point for which the table has a row.
+        row: Signals of the run as a C array; `values` shares its memory.
+        beside: Values that doubles cannot represent.
+        last: Last communication point for which the table has room.
         done: Number of complete rows.
-        failure: Why the run stopped early, if it failed.
+        failure: Error because of which the run stopped early, if any.
     """
 
     failure: SimulationError | None = None
-    is_compiled = False  # whether C makes all steps
-    in_python: dict[str, Any] | None = None  # record of the components that Python has stepped beside C
+    is_compiled = False  # True if C makes all steps
+    in_python: dict[str, Any] | None = None  # manifest entry on components stepped in Python beside C
 
     def __init__(
         self,
@@ -131,7 +132,7 @@ class Master:
         self.row = (ctypes.c_double * len(system.columns))()
         self.values = np.ctypeslib.as_array(self.row)
         self.beside: list[Any] = [None] * len(system.beside)
-        self.first_places: tuple[dict[str, int], dict[str, int]] = {}, {}  # of each component, in the row and beside it
+        self.first_places: tuple[dict[str, int], dict[str, int]] = {}, {}  # component → index, in the row and beside
         for columns, first_places in zip((system.columns, system.beside), self.first_places, strict=True):
             for k, column in enumerate(columns):
                 first_places.setdefault(column.partition(".")[0], k)
@@ -142,8 +143,8 @@ class Master:
         self.keeper: Keeper | None = rows.keeper
         self.instants: Instants | None = None
         self.controlled: ControlledSteps | None = None
-        self.courses: dict[str, CourseStep] = {}  # steps of components whose inputs follow polynomials
-        self.together: list[Together | CompiledSteps] = []  # which may have threads
+        self.courses: dict[str, CourseStep] = {}  # component → step in which inputs follow polynomials
+        self.together: list[Together | CompiledSteps] = []  # objects that may have threads
         self._exact: tuple[Any, ...] = ()
         self._exact_rows = rows.given if system.beside else 0
         self._rounds: dict[tuple[Any, ...], Round] = {}
@@ -160,7 +161,7 @@ class Master:
     # -- call sequence -----------------------------------------------------------------------------
 
     def results(self) -> Results:
-        """Run from beginning to end; return the rows, after a failure those so far."""
+        """Run from beginning to end; return the rows. After a failure, return the rows so far."""
         try:
             self.open()
             Initialization(self, self.solvers).run()
@@ -183,13 +184,13 @@ class Master:
                 self.keeper.compare_rows(self, self.done)
                 if self.keeper.interval is not None:
                     self.keeper.save(self, self.done - 1)
-            hold_stops()  # The rows must be saved.
+            hold_stops()  # a signal must not interrupt saving the rows
         except EarlyEnd as end:
             if not self.done:  # before the first row
                 self.failure = end
                 return self._rows_so_far()
             self.notes.append(Note(f"{end.component} ended the simulation at t = {end.reached:.6g} s: {end.reason}"))
-            # A run of a single FMU gets a last row at that time; with several, the others would have no state then.
+            # A single FMU gets a last row at this time. With several components, the others would have no values then.
             alone = len(self.system.fmus) == 1
             k = self.done
             if k <= self.last and end.readable and alone and end.reached > self.time[k - 1]:
@@ -241,14 +242,14 @@ class Master:
         self.is_compiled = isinstance(policy, CompiledSteps)
         self.loop = policy.described if isinstance(policy, CompiledSteps) else f"Python: {policy.reason}"
         self.rows.tell_loop(self.loop)
-        if self.pacer is not None:  # The preparation of the loop is no delay of the first step.
+        if self.pacer is not None:  # preparing the loop does not delay the first step
             self.pacer.begin = self.pacer.clock()
         self._exact = tuple(self.beside)
         try:
             if isinstance(policy, CompiledSteps):
                 policy.make_all()
             else:
-                # The calls in this loop and in `advance` determine the run time.
+                # Calls in this loop and in `advance` determine the run time, so they are few.
                 values, table, row_count, asked = self.values, self.table, self.row_count, self.asked
                 advance_to, settle = policy.advance_to, None if self.instants is None else self.instants.settle
                 call_point = self.next_call(self.done)
@@ -293,9 +294,9 @@ class Master:
                 late(k)
 
     def _explain(self, error: SimulationError) -> SimulationError:
-        """Return an error with the open loop of its component, if the loop may be its cause.
+        """Return an error; if an open algebraic loop of its component may be the cause, with a sentence on the loop.
 
-        Values that do not settle or grow without end may come from such a loop, as may a call that an FMU refuses in
+        Such a loop may cause values that do not settle or grow without bound, and calls that an FMU refuses during
         initialization.
         """
         loop = next((loop for loop in self.system.opened if error.component.partition(".")[0] in loop.members), None)
@@ -307,21 +308,21 @@ class Master:
     # -- communication points ------------------------------------------------------------------
 
     def next_call(self, k: int) -> int:
-        """Return the next communication point, from k on, that needs Python in the C loop, or `NEVER`."""
-        if self.pacer is not None or (self.beside and not self.is_compiled):  # C returns when such values change.
+        """Return the next communication point, from k on, at which the C loop must return to Python, or `NEVER`."""
+        if self.pacer is not None or (self.beside and not self.is_compiled):  # C returns when exact values change
             return k
         place = bisect.bisect_left(self.events, k)
         points = self.events[place : place + 1]
         if self.keeper is not None and self.keeper.repeated >= k:
             points.append(self.keeper.repeated)
-        if self.inbox is not None:  # Progress is reported at its looks.
+        if self.inbox is not None:  # progress is reported when the inbox is read
             points.append(self.inbox.next_look(k))
         elif self.progress is not None:
             points.append(-(-k // PROGRESS_EVERY) * PROGRESS_EVERY)
         return min(points, default=NEVER)
 
     def change(self, k: int) -> None:
-        """Wait for the time of point k, and change parameters and inputs."""
+        """Wait until point k is due, and change parameters and inputs."""
         changes: Mapping[str, Mapping[str, Any]] = self.system.events.get(k, {})
         if self.pacer is not None:
             self.pacer.wait(k)
@@ -332,16 +333,16 @@ class Master:
         changed = [component for component in self.components if component.name in changes]
         for component in changed:
             component.change(changes[component.name])
-            if not isinstance(component, EventFmu):  # It is read at the instant.
+            if not isinstance(component, EventFmu):  # EventFmu is read at the instant
                 self.announce(component, GET).get()
         if changed:
             due = [stage.component.name for stage in self.system.stages if k % stage.every == 0]
             held = [t for name in due for t in self.system.held_of[name]]
-            # C makes its transfers within the row again.
+            # C then repeats its transfers within the row.
             self.copying.of(t for t in held if not self.is_compiled or any(t.beside))(k)
 
     def tell(self, k: int) -> None:
-        """Record exact values, compare repeated rows and report progress before the row of point k is stored."""
+        """Record exact values, compare repeated rows and report progress, before the row of point k is stored."""
         if self.beside and k >= self.rows.given:
             self._repeat_exact(k)
             self._exact = tuple(self.beside)
@@ -352,7 +353,7 @@ class Master:
             self.progress(k)
 
     def _repeat_exact(self, rows: int) -> None:
-        """Record the exact values of the last row that has others than the one before, up to a number of rows."""
+        """Repeat the last recorded exact values up to a number of rows, in which they have not changed."""
         for _ in range(self._exact_rows, rows):
             self.rows.beside.append(self._exact)
         self._exact_rows = max(self._exact_rows, rows)
@@ -360,16 +361,16 @@ class Master:
     # -- parts --------------------------------------------------------------------------------
 
     def announce(self, component: Any, call: int = OTHER) -> Any:
-        """Store the next call, so that a crash or a hang is blamed on its component; return the component."""
+        """Store the next call, so that a message on a crash or a hang names its component; return the component."""
         self.doing[0] = self.numbers[component.name] + call
         return component
 
     def round(self, stages: Sequence[Stage], k: int, held: Collection[str] = (), *, nominal: bool = True) -> Round:
-        """Return the steps of stages that are due at point k, and the copies at their end.
+        """Return the steps that are due at point k, and the copies at their end.
 
         Args:
-            held: Components whose held values are copied at any point.
-            nominal: Whether components may have steps of nominal length.
+            held: Components whose held values are copied at every point.
+            nominal: True if components with nominal steps are stepped by the nominal length.
         """
         due = tuple(stage.component.name for stage in stages if k % stage.every == 0)
         key = nominal, tuple(held), due
@@ -390,11 +391,11 @@ class Master:
 
     @cached_property
     def actives(self) -> dict[str, Active]:
-        """Return the step of each component with the copies around it, once all have started."""
+        """Return component → its step with the copies around it, after all components have started."""
         return {stage.component.name: self._active(stage) for stage in self.system.stages}
 
     def _steps_in_threads(self, stage: Stage) -> bool:
-        """Return whether a step needs no Python while it lasts: in another process, or in the library of an FMU."""
+        """Return True if a step runs without Python: in another process, or in the library of an FMU."""
         component: Any = stage.component
         if any(component.name in solver.names for solver in self.solvers):
             return False
@@ -403,7 +404,7 @@ class Master:
 
     @cached_property
     def closing(self) -> dict[str, Active]:
-        """Return the stages in which outputs are read again at the end of a step."""
+        """Return the stages whose outputs are read again at the end of a step."""
 
         def reading(component: Any) -> Callable[[float, float], None]:
             return lambda t, h: read_again(self.announce(component, GET))
@@ -414,9 +415,9 @@ class Master:
         }
 
     def _estimate_slopes(self) -> None:
-        """Extrapolate the first step by slopes of a step that is taken back, as a coupling of third order needs.
+        """Measure the slopes of inputs by a step that is taken back, so that the first step can extrapolate them.
 
-        A held input would make an error of second order in the first step.
+        A held input would cause an error of second order in the first step, too much for a coupling of third order.
         """
         stages = self.system.stages
         if any(stage.every > 1 for stage in stages) or rollback_obstacle({c.name: c for c in self.components}):
@@ -432,7 +433,7 @@ class Master:
     def _active(self, stage: Stage) -> Active:
         component, name, pulls = stage.component, stage.component.name, self.copying.of(stage.pulls)
         solver = next((solver for solver in self.solvers if name in solver.names), None)
-        if solver is not None:  # The last one steps all.
+        if solver is not None:  # the last component of a loop steps all
             return Active(pulls, solver.step if name == solver.last else lambda t, h: None)
         step, late = component.stepping(self.doing, self.numbers[name]), None
         if any(self.system.courses):
@@ -479,7 +480,7 @@ def results_of(
     *,
     details: Mapping[str, Any] = MappingProxyType({}),
 ) -> Results:
-    """Return the results of a run from its rows."""
+    """Return the results of a run from its table of rows."""
     exact = {name: [row[k] for row in beside[: len(time)]] for k, name in enumerate(system.beside)}
     whole = frozenset(c for c in system.columns if system.signals[c].is_whole)
     return Results(time, system.columns, table, system.units, exact, whole, tuple(notes), loop, details=details)

@@ -1,11 +1,11 @@
 """Observers of a running simulation, and changes of parameters and inputs that arrive while it is stepped.
 
 An observer is, e.g., a progress bar, a live plot, a recorder, or a set of functions that set inputs. It sends changes
-and pauses through a `Control`; the master takes them through an `Inbox` at its next look, about `LOOK` [s] later, and
-notes the communication point. An event at that point repeats the change.
+and pauses through a `Control`. The master reads them from an `Inbox` about every `LOOK` seconds, and records the
+communication point, so that an event at this point can repeat the change.
 
-Changes go through files in a folder and counters that both sides may share. A record is complete before a counter
-counts it. The noted changes survive a crash of the master.
+Changes are passed by files in a folder and by counters in shared memory. A counter counts a record only when it is
+complete. The recorded changes survive a crash of the master.
 """
 
 from __future__ import annotations
@@ -30,12 +30,12 @@ from cosim.system.events import Targets, Variable
 from cosim.system.system import System
 
 Values = Mapping[str, Mapping[str, Any]]  # component → variable → value
-LOOK = 0.01  # [s] between looks
-MOST_STEPS, MOST_IN_C = 50, 5000  # steps between looks; the loop in C returns after a second at the latest
-LATE = 0.5  # [s] after which steps have become slower than expected
-PAUSE = 0.01  # [s] between looks during a pause
-SENT, NOTED = "sent", "noted"  # files of a folder
-MAX_CHARACTERS = 500  # of an error message
+LOOK = 0.01  # [s] between two reads of the inbox
+MOST_STEPS, MOST_IN_C = 50, 5000  # steps between two reads; the C loop returns at the latest after a second
+LATE = 0.5  # [s] after which steps count as slower than expected
+PAUSE = 0.01  # [s] between two reads during a pause
+SENT, NOTED = "sent", "noted"  # names of files in a folder
+MAX_CHARACTERS = 500  # characters of an error message
 
 
 @dataclass(frozen=True)
@@ -47,11 +47,11 @@ class Change:
 
 
 class Inbox:
-    """Received changes for the master.
+    """Changes of parameters and inputs that the master receives.
 
     Attributes:
-        most: Most steps between looks.
-        pause: Length of the pause at the last look [s].
+        most: Largest number of steps between two reads.
+        pause: Length of the pause during the last read [s].
         changes: Changes so far.
     """
 
@@ -61,7 +61,7 @@ class Inbox:
         self._point, self._due, self._time = 0, 0, -1.0
 
     def next_look(self, k: int) -> int:
-        """Return the next point, from k on, at which to look; sooner if steps take long."""
+        """Return the next point, from k on, at which to read the inbox; sooner if steps take long."""
         now = time.perf_counter()
         if self._due < k or now - self._time > LATE:
             rate = (k - self._point) / max(now - self._time, 1e-9) if self._time >= 0.0 else 0.0  # [steps/s]
@@ -70,7 +70,7 @@ class Inbox:
         return self._due
 
     def take(self, k: int, events: Values) -> Values:
-        """Wait for the end of a pause; return the values to set at point k: those of events, then those received."""
+        """Wait for the end of a pause; return the values to set at point k: values of events, then received ones."""
         counters, self.pause = self._counters, 0.0
         if counters.hold[0]:
             since = time.perf_counter()
@@ -90,16 +90,16 @@ class Inbox:
 
 
 class Control:
-    """Control of a running simulation, for any thread; `paused` holds it at a communication point."""
+    """Control of a running simulation, usable in any thread; `paused = True` stops it at a communication point."""
 
     def __init__(self, system: System, folder: Path, counters: Progress) -> None:
         self._system, self._folder, self._counters = system, folder, counters
-        self._changes: Sequence[Change] = ()  # also after the end, when the files are gone
+        self._changes: Sequence[Change] = ()  # still available after the end, when the files are removed
         self._lock = threading.Lock()
 
     @property
     def paused(self) -> bool:
-        """Return whether the run is to wait."""
+        """Return True if the run is paused."""
         return bool(self._counters.hold[0])
 
     @paused.setter
@@ -108,7 +108,7 @@ class Control:
 
     @property
     def changes(self) -> Sequence[Change]:
-        """Return all changes that the master has noted so far."""
+        """Return all changes that the master has applied so far."""
         self._changes = _records(self._folder / NOTED) or self._changes
         return self._changes
 
@@ -118,20 +118,20 @@ class Control:
 
     @cached_property
     def variables(self) -> Sequence[Variable]:
-        """Tunable parameters and unconnected inputs, which `set` may change."""
+        """Return the tunable parameters and unconnected inputs, which `set` may change."""
         starts = {s.component.name: getattr(s.component, "start_values", {}) for s in self._system.stages}
         return self._targets.variables(starts)
 
     def set(self, values: Mapping[str, Any]) -> dict[str, Any]:
         """Set variables at the next communication point; a value may be text with a unit, such as `12 deg`.
 
-        After the end of the run the values are lost.
+        Values that are set after the end of the run have no effect.
 
         Returns:
-            The values in the variables' own units and types.
+            The values in the units and types of the variables.
 
         Raises:
-            InputError: Every fault of the values; none is set then.
+            InputError: Values are wrong. The error names all faults, and no value is set.
         """
         converted, faults = dict[str, Any](), []
         for target, value in values.items():
@@ -153,7 +153,7 @@ def _append(path: Path, record: Any) -> None:
 
 
 def _records(path: Path) -> list[Any]:
-    """Return the complete records of a file."""
+    """Return the complete records in a file."""
     records = []
     with suppress(FileNotFoundError, EOFError, pickle.UnpicklingError), path.open("rb") as stream:
         while True:
@@ -162,7 +162,7 @@ def _records(path: Path) -> list[Any]:
 
 
 def with_changes(events: Mapping[int, Values], changes: Sequence[Change]) -> Mapping[int, Values]:
-    """Return events overlaid with changes."""
+    """Return the events of communication points, with changes added; a change replaces an event's value."""
     merged = dict(events)
     for change in changes:
         merged[change.point] = _merge(merged.get(change.point, {}), change.values)
@@ -170,7 +170,7 @@ def with_changes(events: Mapping[int, Values], changes: Sequence[Change]) -> Map
 
 
 def _merge(*every: Values) -> Values:
-    """Return the values of all mappings; later ones take precedence."""
+    """Return all values in one mapping; later mappings take precedence."""
     merged: dict[str, dict[str, Any]] = {}
     for values in every:
         for component, changes in values.items():
@@ -179,14 +179,14 @@ def _merge(*every: Values) -> Values:
 
 
 def targets_of(system: System) -> Targets:
-    """Return the variables of a system that may be set during a run."""
+    """Return the variables of a system that can be set during a run."""
     names = {transfer.name for transfer in system.transfers}
     return Targets({name: description for name, (_, description) in system.fmus.items()}, names)
 
 
 @dataclass(frozen=True)
 class ObservedRun:
-    """Description of a run, given to observers before its first row.
+    """Description of a run, which observers get before its first row.
 
     Attributes:
         columns: Names `component.variable` of the columns.
@@ -214,9 +214,9 @@ class Observer:
         """Prepare for the rows of a run."""
 
     def rows(self, time: Array, values: Array) -> bool | None:
-        """Take new rows, shape (rows, columns), valid during this call.
+        """Receive new rows: time [s] and values of shape (rows, columns), valid only during this call.
 
-        Returning True requests an early end; rows already made still follow.
+        Return True to request an early end of the run; rows that are already computed still follow.
         """
 
     def end(self) -> None:
@@ -233,7 +233,7 @@ class ProgressObserver(Observer):
         self._progress = progress
 
     def begin(self, run: ObservedRun) -> None:
-        """Start to count at the first row of a run."""
+        """Set the count of steps to zero."""
         self._done, self._steps = 0, run.rows - 1
 
     def rows(self, time: Array, values: Array) -> None:
@@ -243,11 +243,11 @@ class ProgressObserver(Observer):
 
 
 class Feed:
-    """Distribution of rows to observers, each row once, with requests for an early end.
+    """Distribution of new rows to observers, which may request an early end.
 
     Attributes:
         table: Storage of the rows; without it no rows are distributed.
-        stop: Whether an observer requested an early end.
+        stop: True if an observer has requested an early end.
         failure: Error of an observer.
     """
 
@@ -267,13 +267,13 @@ class Feed:
         self._call("begin", run)
 
     def __call__(self, done: int) -> None:
-        """Deliver to the observers those of the first `done` rows that they have not received yet."""
+        """Pass to the observers those of the first `done` rows that they have not received yet."""
         first, self._delivered = self._delivered, max(self._delivered, done)
         if self.table is not None and first < done and self.failure is None:
             self._call("rows", self._time[first:done], self.table[first:done])
 
     def end(self, table: Array) -> None:
-        """Give observers the remaining rows, then end."""
+        """Pass the remaining rows to observers, then call their `end`."""
         self.table = table
         self(len(table))
         self._call("end")
@@ -283,7 +283,7 @@ class Feed:
         for observer in self._observers:
             try:
                 self.stop |= bool(getattr(observer, method)(*arguments))
-            except Exception as error:  # A user's observer may raise any error.
+            except Exception as error:  # a user's observer may raise any error
                 now = float(self._time[max(0, min(self._delivered, len(self._time)) - 1)])
                 message = f"{type(error).__name__}: {' '.join(str(error).split())[:MAX_CHARACTERS]}"
                 self.failure = self.failure or SimulationError(f"the observer {type(observer).__name__}", now, message)
@@ -294,13 +294,13 @@ NamedFunctions = Mapping[str, InputFunction]  # `component.input` → function
 
 
 class InputFunctions(Observer):
-    """Functions that are called with new rows and return values of inputs."""
+    """Functions of time and signals that return values of inputs, called whenever there are new rows."""
 
     def __init__(self, functions: NamedFunctions) -> None:
         self._functions, self._last = dict(functions), dict[str, Any]()
 
     def check(self, system: System) -> None:
-        """Raise InputError for names that cannot be set, and for what is no function."""
+        """Raise InputError for names that cannot be set, and for objects that are not functions."""
         targets = targets_of(system)
         reasons = []
         for name, function in self._functions.items():
@@ -313,11 +313,11 @@ class InputFunctions(Observer):
         refuse([Fault(Path("inputs"), 0, 0, reason) for reason in reasons])
 
     def begin(self, run: ObservedRun) -> None:
-        """Note the signals of a run."""
+        """Store the names of the run's signals."""
         self._columns, self._control = run.columns, run.control
 
     def rows(self, time: Array, values: Array) -> None:
-        """Call the functions with the last of new rows, and set values that are new."""
+        """Call the functions with the last new row, and set those values that have changed."""
         signals = dict(zip(self._columns, values[-1].tolist(), strict=True))
         given = {name: function(float(time[-1]), signals) for name, function in self._functions.items()}
         new = {n: v for n, v in given.items() if v is not None and (n not in self._last or self._last[n] != v)}

@@ -1,4 +1,4 @@
-"""A component in its own process, apart from the worker of the others."""
+"""A component in a process of its own, separate from the worker with the other components."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ from cosim.isolation.watch import Watch, fmi_calls
 from cosim.system.events import is_exchange
 from cosim.system.system import System
 
-Signals = tuple[list[float], list[Any]]  # in the row, and beside the row
-Request = tuple[Any, ...]  # method of the component, or of `HostedComponent`, and its arguments
+Signals = tuple[list[float], list[Any]]  # values in the row, and values beside the row
+Request = tuple[Any, ...]  # name of a method of the component or of `HostedComponent`, and its arguments
 COPIED = {
     *("name", "inputs", "outputs", "exact_inputs", "exact_outputs", "nominal_step"),
     *("description", "log", "saves", "depends_on"),
 }
-MIRRORED = "mode", "reached", "next_event", "asks", "active", "timers"  # attributes of an FMU with event mode
+MIRRORED = "mode", "reached", "next_event", "asks", "active", "timers"  # copied from EventFmu
 
 
 class HostedComponent:
-    """A component within its process, with its signals and saved states."""
+    """A component in its own process, with its signals and saved states."""
 
     def __init__(self, component: Component) -> None:
         self.component: Any = component
@@ -45,7 +45,7 @@ class HostedComponent:
         """Set all signals and call methods.
 
         Returns:
-            The result of the last method, all signals, and the attributes that the proxy mirrors.
+            The result of the last method, all signals, and the attributes that the proxy copies.
         """
         self.row[:], self.beside[:] = [*signals[0]], signals[1]
         result = None
@@ -61,7 +61,7 @@ class HostedComponent:
         return number
 
     def restore_state(self, number: int, keep: bool) -> None:
-        """Restore a saved state, and free it unless `keep` is set."""
+        """Restore a saved state, and free it unless `keep` is True."""
         self.component.restore_state(self._states[number] if keep else self._states.pop(number), keep=keep)
 
     def free_state(self, number: int) -> None:
@@ -75,12 +75,12 @@ class HostedComponent:
 
 
 def _there(method: str, doing: int = OTHER) -> Any:
-    """Return a method that is called there, by `OwnProcess.act`."""
+    """Return a method that calls the component's method of this name by `OwnProcess.act`."""
     return lambda self, *arguments: self.act((method, *arguments), doing=doing)
 
 
 class OwnProcess:
-    """Proxy of a component in another process; a crash there becomes an error naming the component."""
+    """Proxy of a component in another process; a crash of that process becomes an error that names the component."""
 
     start, change, checkpoint, restore = map(_there, ("start", "change", "checkpoint", "restore"))
     put, get = _there("put", PUT), _there("get", GET)
@@ -92,13 +92,13 @@ class OwnProcess:
         self.reached = 0.0  # time [s] for messages
 
     def __getattr__(self, name: str) -> Any:
-        """Return an attribute of the component that needs no call there."""
+        """Return an attribute from the local copy of the component."""
         if name not in COPIED:
             raise AttributeError(name)
         return getattr(self._component, name)
 
     def bind(self, row: Row, first: int, beside: list[Any] | None = None, first_beside: int = 0) -> None:
-        """Set the places of the component's signals in the row and in the list of exact values."""
+        """Set the indices of the component's signals in the row and in the list of exact values."""
         counts = len(self.inputs) + len(self.outputs), len(self.exact_inputs) + len(self.exact_outputs)
         self._row, self._beside = row, [] if beside is None else beside
         self._own, self._own_beside = slice(first, first + counts[0]), slice(first_beside, first_beside + counts[1])
@@ -109,11 +109,11 @@ class OwnProcess:
         self.act(("open", start, stop))
 
     def advance(self, t: float, h: float) -> None:
-        """Step there."""
+        """Step the component in its process."""
         self._step(t, h, ("advance", t, h))
 
     def stepping(self, doing: MutableSequence[int], first: int) -> Callable[[float, float], None]:
-        """Put, advance and get by one message."""
+        """Return a function that puts, advances and gets with a single message."""
 
         def step(t: float, h: float) -> None:
             doing[0] = first + ADVANCE
@@ -135,11 +135,11 @@ class OwnProcess:
             self._remote.worker.end()
 
     def slot(self, cells: Any) -> str:
-        """Return the reason against the C loop."""
+        """Return the reason why C cannot step the component."""
         return f"{self.name} has a process of its own"
 
     def act(self, *requests: Request, doing: int = OTHER) -> Any:
-        """Set all signals and call methods there; show their effects here, and return the last result."""
+        """Set all signals and call methods in the process; copy signals and attributes back, return the last result."""
         watch = Watch([self.name], [fmi_calls(self.description)], lambda row, doing: self.reached, self._limits)
         signals = self._row[self._own], self._beside[self._own_beside]
         result, (row, beside), mirrored = self._remote.call("do", signals, *requests, watch=watch, doing=doing)
@@ -149,7 +149,7 @@ class OwnProcess:
 
 
 class OwnFmu(OwnProcess, FmuBlock):
-    """An FMU for co-simulation in another process, whose steps can be repeated; its states stay there."""
+    """An FMU for co-simulation in another process, whose steps can be repeated; saved states stay in that process."""
 
     try_inputs, slopes = _there("put", PUT), _there("slopes")
     save_state, free_state = _there("save_state"), _there("free_state")
@@ -160,26 +160,26 @@ class OwnFmu(OwnProcess, FmuBlock):
         self.instance.fmu = self  # a crash loses the FMU, and ends the run
 
     def step_by_derivatives(self, names: Any, orders: Any, t: float, h: float) -> None:
-        """Put inputs with derivatives, advance and get there."""
+        """Put inputs with derivatives, advance and get, in the process."""
         self._step(t, h, ("step_by_derivatives", names, orders, t, h))
 
     def restore_state(self, state: Any, *, keep: bool = False) -> None:
-        """Restore a saved state there, and free the state unless `keep` is set."""
+        """Restore a saved state in the process, and free it unless `keep` is True."""
         self.act(("restore_state", state, keep))
 
 
 class OwnEvents(OwnFmu, EventFmu):
     """An FMU with event mode in another process.
 
-    Its schedule is mirrored here after each call. Which inputs have changed is known here, too, so that an FMU without
-    part in an instant costs no message.
+    After each call, the times of its events and clocks are copied to this process, which also tracks changed inputs. An
+    FMU that is not concerned by an instant therefore needs no message.
     """
 
     enter, go, update, leave = _there("enter"), _there("go", ADVANCE), _there("update"), _there("leave")
     ask_for_small_steps = _there("ask_for_small_steps")
 
     def bind(self, row: Row, first: int, beside: list[Any] | None = None, first_beside: int = 0) -> None:
-        """Set the places of the signals."""
+        """Set the indices of the component's signals."""
         OwnProcess.bind(self, row, first, beside, first_beside)
         super(OwnProcess, self).bind(row, first, beside, first_beside)
 
@@ -189,7 +189,7 @@ class OwnEvents(OwnFmu, EventFmu):
         super().open(start, stop)
 
     def put(self) -> None:
-        """Set changed inputs, as far as the mode allows."""
+        """Set changed inputs that may be set in the current mode."""
         if (self.steps or self.mode == INITIALIZATION) and self._changed_inputs():
             self.act(("put",), doing=PUT)
 
@@ -199,27 +199,27 @@ class OwnEvents(OwnFmu, EventFmu):
         self._forget(names)
 
     def fired(self) -> list[str]:
-        """Return output clocks that tick since the last call."""
+        """Return the output clocks that have ticked since the last call."""
         names: list[str] = self.act(("fired",)) if self.output_clocks else []
         self._forget(names)
         return names
 
     def save_state(self) -> Any:
-        """Return the number of the state, and the inputs as last set."""
+        """Return the number of the saved state, and the last values of the inputs."""
         return OwnFmu.save_state(self), dict(self._given)
 
     def restore_state(self, state: Any, *, keep: bool = False) -> None:
-        """Restore a saved state there, and the inputs here."""
+        """Restore a saved state in the process, and the inputs in this one."""
         number, given = state
         OwnFmu.restore_state(self, number, keep=keep)
         self._given = dict(given)
 
     def free_state(self, state: Any) -> None:
-        """Free a saved state there."""
+        """Free a saved state in the process."""
         OwnFmu.free_state(self, state[0])
 
     def act(self, *requests: Request, doing: int = OTHER) -> Any:
-        """Call methods there, as `OwnProcess.act`."""
+        """Call methods as `OwnProcess.act`, and copy the attributes of event mode."""
         result = super().act(*requests, doing=doing)
         self.instance.time = self.reached
         return result
@@ -228,7 +228,7 @@ class OwnEvents(OwnFmu, EventFmu):
 def in_own_processes(system: System, limits: Limits) -> System:
     """Return the system with components moved to own processes.
 
-    This applies on request, and to FMUs that allow a single instance per process.
+    These are components for which the scenario requests a process, and FMUs that allow only one instance per process.
     """
     paths: set[Any] = set()
     stages = []

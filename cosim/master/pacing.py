@@ -1,4 +1,4 @@
-"""Pace of a run: each communication point waits for its time on the clock."""
+"""Pace of a run: each communication point waits until it is due on the clock."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ import numpy as np
 
 from cosim.isolation.rows import WAITING
 
-SPIN = 2e-4  # [s] before the time, from which on to look at the clock instead of sleeping
-NAP = 0.1  # [s] of a longest sleep, after which a requested end counts
+SPIN = 2e-4  # [s] before a point is due; in this time the clock is polled instead of sleeping
+NAP = 0.1  # longest sleep [s], after which a requested end of the run is noticed
 PERCENTILES = {"p50": 50.0, "p99": 99.0, "p999": 99.9}
 
 
 class Pacer:
-    """Waits for the times of communication points, and how late each was.
+    """Waiting until communication points are due, and a record of how late they were.
 
-    The times are counted from the first point, so that a late point does not delay those after it. A run that is behind
-    waits for nothing until it has caught up.
+    Due times are counted from the first point, so that a late point does not delay later ones. A run that is behind
+    does not wait until it has caught up.
 
     Attributes:
         clock: Function that returns the time on the clock [s].
@@ -29,7 +29,7 @@ class Pacer:
         pace: Simulated seconds per second.
         h: Communication step [s].
         doing: Current call, as in `Rows`.
-        progress: Function called with the point during long waits; it may raise.
+        progress: Function that is called with the point during long waits; it may raise an exception to end the run.
     """
 
     def __init__(
@@ -45,12 +45,12 @@ class Pacer:
     ) -> None:
         self.pace, self.length, self.h = pace, h / pace, h
         self._doing, self._progress, self.clock, self._sleep = doing, progress, clock, sleep
-        self._late = np.zeros(steps + 1, np.float32)  # [s], by point
-        self._behind = np.zeros(steps + 1, np.bool_)  # points that the steps reached after their time
+        self._late = np.zeros(steps + 1, np.float32)  # lateness of each point [s]
+        self._behind = np.zeros(steps + 1, np.bool_)  # True for points that the steps reached too late
         self.begin, self._points = 0.0, 0
 
     def wait(self, k: int) -> None:
-        """Wait for the time of point k, by sleep and then by looks at the clock, which starts at point 0."""
+        """Wait until point k is due, first asleep, then by polling the clock; the clock starts at point 0."""
         clock, doing = self.clock, self._doing
         now = clock()
         if k == 0:

@@ -1,11 +1,11 @@
-"""Policies: how a system gets from one communication point to the next. Rows stay on an equal grid.
+"""Step policies: how a system is stepped from one communication point to the next.
 
-Steps may be equal; each made once whole and once in halves to measure the coupling error; or controlled by an estimate
-of their error. (Steps from event to event are in `instants`.)
+Steps may be equal, or controlled by an estimate of their coupling error; rows stay equidistant in any case. (Steps from
+event to event are in `instants`.)
 
-Under control, each interval between rows is divided into steps. A PI controller (K. Gustafsson, Control theoretic
+With error control, each interval between rows is divided into steps. A PI controller (K. Gustafsson, Control theoretic
 techniques for stepsize selection in explicit Runge-Kutta methods, ACM Trans. Math. Softw. 17 (1991)) chooses the next
-one from the errors ε of the last two, relative to the tolerance:
+step h' from the errors ε, relative to the tolerance, of the last two steps:
 
     h' = h·0.9·ε^(−0.7/q)·ε_prev^(0.4/q),  ε ~ h^q
 
@@ -16,8 +16,8 @@ halving   Each step is made whole (y₁) and in two halves (y₂), and taken bac
 residual  Received inputs u against those of the step's course ũ: ε = max |u − ũ| / (τ·s),  q = p
 energy    Power bonds of an effort e and a flow f: ε = max |e·f̃ − ẽ·f| / (τ·P),  q = p
 
-The first step is judged by halving and begins with the longest one, if all FMUs save and restore their state.
-p is one more than the degree of the inputs' courses; s and P are the largest magnitudes so far, or the nominal ones.
+If all FMUs can save and restore their state, the first step is tried with the greatest length and judged by halving. p
+is the degree of the inputs' polynomials plus one; s and P are the largest magnitudes so far, or the nominal ones.
 """
 
 from __future__ import annotations
@@ -47,13 +47,13 @@ from cosim.system.schedule import Stage
 if TYPE_CHECKING:
     from cosim.master.master import Master
 
-SAFETY, PROPORTIONAL, INTEGRAL = 0.9, 0.4, 0.7  # factor of a step; exponents times q of the last and the present error
-SMALLEST, LARGEST = 0.2, 4.0  # change of a step
-MUCH, MOST_NAMED = 0.01, 3  # allowed error of a step as a share of a signal that is named; number of names
+SAFETY, PROPORTIONAL, INTEGRAL = 0.9, 0.4, 0.7  # factor of a step; exponents of last and current error, times q
+SMALLEST, LARGEST = 0.2, 4.0  # limits of the ratio of consecutive steps
+MUCH, MOST_NAMED = 0.01, 3  # error, as a share of a signal, above which the signal is named; number of names
 TIMED, SLOW = 4, 50e-6  # first steps that are timed; shortest step [s] that is worth a thread, as in stepping.c
-LEAST_ERROR = 1e-4  # smallest error that enters the controller
-ROUNDING = 1e-9  # relative
-Judged = tuple[float, str]  # error of a step relative to the tolerance, and the signal that has it
+LEAST_ERROR = 1e-4  # smallest error that the controller uses
+ROUNDING = 1e-9  # relative tolerance of rounding
+Judged = tuple[float, str]  # error of a step relative to the tolerance, and the signal with this error
 
 
 class Active(NamedTuple):
@@ -61,9 +61,9 @@ class Active(NamedTuple):
 
     Attributes:
         copy: Copies before the step.
-        step: Function of the start and the length of a step [s].
-        every: Length of the step in steps of the run.
-        length: Length of the step [s], 0.0 for the difference of communication points.
+        step: Function of the start and the length of a step [s] that makes the step.
+        every: Length of the component's step in communication steps.
+        length: Length of the component's step [s]; 0.0 if it is the difference of communication points.
         late: Function that sets the known values of a point after the step, if any.
     """
 
@@ -74,25 +74,25 @@ class Active(NamedTuple):
     late: Callable[[int], None] | None = None
 
 
-Round = tuple[Active, ...]  # the last one makes no step: its copies are those at the end of the step
+Round = tuple[Active, ...]  # the last one only copies, at the end of the step
 
 
 class Together:
-    """Steps of components that need no output of each other, made at the same time if at least two are slow.
+    """Steps of components that do not need each other's outputs. If at least two steps are slow, they run in parallel.
 
-    The first steps follow each other, to measure them.
+    The first few steps run one after another, to measure their time.
 
     Args:
-        in_threads: Whether each step may be made in a thread.
+        in_threads: For each step, True if it may run in a thread.
     """
 
     def __init__(self, actives: Sequence[Active], in_threads: Sequence[bool]) -> None:
         self._actives, self._timed, self._pool = actives, 0, ThreadPoolExecutor(min(cores(), len(actives)))
-        self._least = [math.inf if each else 0.0 for each in in_threads]  # time [s] of the fastest of the first steps
-        self._others: list[int] = []  # steps that are not made by the caller's thread
+        self._least = [math.inf if each else 0.0 for each in in_threads]  # shortest time [s] among the first steps
+        self._others: list[int] = []  # steps that run in other threads than the caller's
 
     def active(self) -> Active:
-        """Return the steps as a single one, with the copies around all of them."""
+        """Return all these steps as a single one, with the copies before and after them."""
         copies, lates = [a.copy for a in self._actives], [a.late for a in self._actives if a.late is not None]
 
         def copy(k: int) -> None:
@@ -138,10 +138,10 @@ class Together:
 
 
 class Policy:
-    """A way from one communication point to the next.
+    """A step policy: how the system is stepped from one communication point to the next.
 
     Attributes:
-        reason: Why the steps are made in Python.
+        reason: Reason why the steps are made in Python and not in C.
     """
 
     reason = ""
@@ -151,7 +151,7 @@ class Policy:
         raise NotImplementedError
 
     def finish(self) -> None:
-        """Note what is worth a warning, after the last step."""
+        """Record warnings after the last step."""
 
 
 class EqualSteps(Policy):
@@ -164,31 +164,31 @@ class EqualSteps(Policy):
         self._advance, self._begin, self._h = master.advance, master.system.start, master.h
 
     def advance_to(self, k: int) -> None:
-        """Step each component once that is due."""
+        """Step each component that is due once."""
         begin, h = self._begin, self._h
         self._advance(self._round(k % self._period), k, begin + (k - 1) * h, begin + k * h)
 
 
 class SavedPoint:
-    """The states of FMUs, and all signals, to which steps go back."""
+    """Saved states of FMUs and values of all signals, from which steps are repeated."""
 
     def __init__(self, master: Master, fmus: Sequence[FmuBlock]) -> None:
         self.master, self._signals, self._beside = master, master.values.copy(), list(master.beside)
         self.states = [(fmu, master.announce(fmu).save_state()) for fmu in fmus]
 
     def restore(self, *, keep: bool = False) -> None:
-        """Go back; free the states unless `keep` is set."""
+        """Restore states and signals; free the states unless `keep` is True."""
         for fmu, state in self.states:
             self.master.announce(fmu).restore_state(state, keep=keep)
         self.restore_signals()
 
     def restore_signals(self) -> None:
-        """Take back the signals only."""
+        """Restore the signals only."""
         self.master.values[:] = self._signals
         self.master.beside[:] = self._beside
 
     def check_outputs(self, t: float) -> None:
-        """Raise SimulationError if an FMU with a restored state gives other outputs than before."""
+        """Raise SimulationError if the outputs of an FMU with a restored state differ from those when it was saved."""
         before = list(self.master.row)
         for fmu, _ in self.states:
             self.master.announce(fmu, GET).get()
@@ -198,7 +198,7 @@ class SavedPoint:
 
 
 def advance_of(master: Master, stages: Sequence[Stage]) -> Callable[[int, float, float], None]:
-    """Return a function of point, start and end [s] of a step of any length, in C if possible."""
+    """Return a function of (point, start [s], end [s]) that makes a step of any length, in C if possible."""
     try:
         return CompiledSteps(master, stages).advance
     except NotCompiled:
@@ -207,14 +207,14 @@ def advance_of(master: Master, stages: Sequence[Stage]) -> Callable[[int, float,
 
 
 class ControlledSteps(Policy):
-    """Steps of a run under control, from its first row on.
+    """Steps that are controlled by an estimate of their error.
 
     Attributes:
         sizes: Lengths of accepted steps [s].
-        made: Number of communication points, with those of rejected and comparing steps.
+        made: Number of steps, including rejected steps and steps for comparison.
         worst: Largest error of an accepted step.
-        failed: Time, error and signal of accepted steps with an error above the tolerance; `missed` has those of them
-            that could not be shorter.
+        failed: Time, error and signal of accepted steps with an error above the tolerance. `missed` contains those that
+            could not be shortened.
     """
 
     reason = "steps are controlled"
@@ -243,17 +243,17 @@ class ControlledSteps(Policy):
         self.missed: list[tuple[float, float, str]] = []
 
     def advance_to(self, k: int) -> None:
-        """Make the steps between two rows, then those of components that step only at rows."""
+        """Make the steps between two rows; then step the components that step only at rows."""
         master = self.master
         begin, end = (master.system.start + j * master.h for j in (k - 1, k))
         t = begin
         while t < end:
             until, is_shortest = self._next(t, end)
             self.past.add(t, self.signals[self.sources])
-            # The first step has no earlier inputs by which to judge the extrapolated ones.
+            # The first step has no earlier inputs with which extrapolated ones could be compared.
             if self.control.estimator == "halving" or (self.control.rolls_back and not self.sizes):
                 error, name = self._halve(k, t, until, final=is_shortest)
-                if math.isnan(error):  # taken back
+                if math.isnan(error):  # the step was rejected
                     continue
             else:
                 self._step(k, t, until)
@@ -265,7 +265,7 @@ class ControlledSteps(Policy):
             master.advance(at_row, k, begin, end)
 
     def finish(self) -> None:
-        """Note steps above the tolerance, signals far below their nominal value, and an estimator without signals."""
+        """Record warnings: steps above the tolerance, signals far below nominal, estimators without signals."""
         notes, control, tolerance = self.master.notes, self.control, self.control.tolerance
         if steps := self.missed or self.failed:
             t, error, signal = steps[0]
@@ -322,7 +322,7 @@ class ControlledSteps(Policy):
         }
 
     def _next(self, t: float, end: float) -> tuple[float, bool]:
-        """Return the end of the next step, and whether no shorter one is allowed."""
+        """Return the end of the next step, and True if no shorter step is allowed."""
         rest = end - t
         most = math.floor(rest / self.control.shortest + ROUNDING), math.ceil(rest / self.control.longest - ROUNDING)
         parts = min(max(1, math.ceil(rest / self.wish - ROUNDING)), max(1, *most))
@@ -331,12 +331,12 @@ class ControlledSteps(Policy):
     # -- steps with event mode ------------------------------------------------------------------
 
     def limit(self, t: float, target: float, end: float) -> float:
-        """Return the end of a step from t, at most the next event's time, and remember the held inputs."""
+        """Return the end of a step from t [s], at most the next event's time; remember the held inputs."""
         self.past.add(t, self.signals[self.sources])
         return min(target, self._next(t, end)[0])
 
     def judge_step(self, t: float, reached: float) -> None:
-        """Judge a step by the values at its end, and choose the next one."""
+        """Estimate the error of a step from the values at its end, and choose the next step."""
         error, name = self._judge_inputs(reached)
         self.made += 1
         is_shortest = reached - t <= self.control.shortest * (1.0 + ROUNDING)
@@ -345,10 +345,10 @@ class ControlledSteps(Policy):
     # -- step sizes -------------------------------------------------------------------------------
 
     def _accept(self, t: float, h: float, error: float, name: str, *, final: bool) -> None:
-        """Count a step from t with its largest error, and choose the next one.
+        """Record an accepted step from t [s] with its largest error, and choose the next step.
 
         Args:
-            final: Whether no shorter step is allowed.
+            final: True if no shorter step is allowed.
         """
         self.sizes.append(h)
         self.worst = max(self.worst, error)
@@ -359,14 +359,14 @@ class ControlledSteps(Policy):
         error = max(error, LEAST_ERROR)
         factor = SAFETY * error ** (-INTEGRAL / self.q) * self.before ** (PROPORTIONAL / self.q)
         wish = h * min(max(factor, SMALLEST), LARGEST)
-        if factor >= 1.0:  # A step that the next row cuts short says nothing against longer ones.
+        if factor >= 1.0:  # a step that was shortened to end at a row is no reason for shorter steps
             wish = max(wish, self.wish)
         self.wish, self.before = min(max(wish, self.control.shortest), self.control.longest), error
 
     # -- estimators ---------------------------------------------------------------------------------
 
     def _halve(self, k: int, t: float, until: float, *, final: bool) -> Judged:
-        """Step whole and by halves; return the error, NaN if the step is rejected."""
+        """Make a step whole and in two halves; return the error, NaN if the step is rejected."""
         before, middle, outputs = SavedPoint(self.master, self.fmus), 0.5 * (t + until), self.outputs
         start = self.signals[outputs]
         self._step(k, t, until)
@@ -390,7 +390,7 @@ class ControlledSteps(Policy):
         return math.nan, name
 
     def _judge_inputs(self, t: float) -> Judged:
-        """Return the error of inputs or of the power of bonds at the end of a step [s]."""
+        """Return the error of inputs, or of the power of bonds, at the end of a step (t [s])."""
         expected, row, worst = self.past.mean(t), self.master.row, (0.0, "")
         if self.control.estimator != "energy":
             return self._judge(self.sources, expected)
@@ -405,7 +405,7 @@ class ControlledSteps(Policy):
         return worst
 
     def _judge(self, places: list[int], others: Array) -> Judged:
-        """Return the largest difference relative to the tolerance."""
+        """Return the largest difference between signals and `others`, relative to the tolerance."""
         if not len(places):
             return 0.0, ""
         values = self.signals[places]
@@ -416,6 +416,6 @@ class ControlledSteps(Policy):
         return float(errors[worst]), self.master.system.columns[places[worst]]
 
     def _step(self, k: int, t: float, until: float) -> None:
-        """Step all controlled components."""
+        """Step all components with controlled steps."""
         self._advance(k, t, until)
         self.made += 1

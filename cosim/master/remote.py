@@ -1,4 +1,4 @@
-"""Steps of a run in a worker process, seen from both sides."""
+"""Stepping a run in a worker process: the caller's side and the worker's side."""
 
 from __future__ import annotations
 
@@ -48,20 +48,20 @@ from cosim.system.system import System
 
 MODULES = ("cosim.master.remote", "fmpy.fmi2", "fmpy.logging")
 PREFIX = ".rows-"
-IN_USE = "in-use"  # file that a worker locks while it writes into a folder of checkpoints
-GRACE, SHORT_GRACE = 10.0, 2.0  # time [s] for a checkpoint at a stop, with and without checkpoints on request
+IN_USE = "in-use"  # file that a worker locks while it writes checkpoints into a folder
+GRACE, SHORT_GRACE = 10.0, 2.0  # time [s] for a checkpoint when a run is stopped, if requested and otherwise
 
 
 @dataclass(frozen=True)
 class SteppedRun:
-    """Outcome of a stepped run.
+    """Result of stepping a run.
 
     Attributes:
         log: Messages of the FMUs.
-        failure: The failure, if any.
+        failure: Error because of which the run stopped, if any.
         changes: Changes by observers.
-        state: Checkpoint at a stop, unless a folder keeps checkpoints.
-        times: Wall times of components and calls, as for a manifest.
+        state: Content of the checkpoint at which the run was stopped, unless a folder contains checkpoints.
+        times: Wall times of components and calls, in the form of the manifest.
     """
 
     results: Results
@@ -85,14 +85,14 @@ def simulate_in(
     measure_times: bool = False,
     recording: RecordedPart | None = None,
 ) -> SteppedRun:
-    """Step a system in a worker process, or in this process without one.
+    """Step a system in a worker process, or in this process if there is no worker.
 
-    The rows are in a file within `folder` until the end, or in the folder of the checkpoints.
+    During the run, the rows are in a file in `folder`, or in the folder of the checkpoints.
 
     Args:
-        folder: By default that of temporary files.
-        measure_times: Whether to sum the wall time of components.
-        recording: Signals of the results, by default all; the others are not read into memory.
+        folder: Folder for the rows; by default that of temporary files.
+        measure_times: Measure the wall time of components.
+        recording: Signals of the results, by default all; other signals are not read into memory.
 
     Raises:
         FmuError: An FMU does not load.
@@ -100,7 +100,7 @@ def simulate_in(
     columns, limits, kept = len(system.columns), limits or Limits(), keeping or Keeping()
     given = 0 if kept.start is None else kept.start.count
     with ExitStack() as stack:
-        exchange = stack.enter_context(temporary_folder("changes"))  # outlives a crash of the worker
+        exchange = stack.enter_context(temporary_folder("changes"))  # remains after a crash of the worker
         if worker is None:
             stepped = _simulate_here(system, steps, h, exchange, observers, kept.start)
             return replace(stepped, results=take_signals(recording, stepped.results))
@@ -120,7 +120,7 @@ def simulate_in(
         }
         followed = table.with_name(FOLLOWED)
         stack.callback(followed.unlink, missing_ok=True)
-        with suppress(OSError):  # without space the run is only not followed
+        with suppress(OSError):  # if the disk is full, the run cannot be followed live, but continues
             followed.write_text(json.dumps(about), encoding="utf-8")
         mapped = np.memmap(table, np.float64, "r", shape=(rows, columns)) if observers and columns else None
         feed = Feed(observers, system, steps, h, control, mapped)
@@ -144,17 +144,17 @@ def simulate_in(
         try:
             job = partial(simulate_rows, system, steps, h, table, rows, limits, **settings)
             log, failure, last, ended = worker.call(job, watch=watch)
-            hold_stops()  # The rows must be saved.
+            hold_stops()  # a signal must not interrupt saving the rows
         except (SimulationError, KeyboardInterrupt, Terminated) as stop:
             failure = stop_error(stop, _time_of(system, h, counters.made[0]))
         except (CosimError, OSError, MemoryError):
             raise
-        except Exception as error:  # An unexpected error of a library is no reason to lose the rows.
+        except Exception as error:  # even after an unexpected error of a library, the rows are kept
             component, t, call = Clock(watch, counters).place()
             reason = " ".join(str(error).split())[:MAX_CHARACTERS]
             message = f"{call}: {type(error).__name__}: {reason} (--in-process shows where)"
             failure = SimulationError(component, t, message)
-        done = max(counters.made[0], given)  # A failure before the last given row loses none.
+        done = max(counters.made[0], given)  # rows of the stopped run are kept in any case
         state = read_state(table.with_name(STATE)) if kept.folder is None else None
         values = read_table(table, done, columns, mapped=recording is not None)
         beside, changes = read_exact(table.with_name(BESIDE), done), control.changes
@@ -165,7 +165,7 @@ def simulate_in(
         loop = counters.loop.decode("utf-8", "ignore")
         results = replace(results_of(system, time, values, beside, loop=loop), **ended)
         results = take_signals(recording, results)
-        del values  # Its file is removed.
+        del values  # its file is removed below
     component_times = {} if times is None else times.record()
     return SteppedRun(results, log, failure or feed.failure, changes, state, component_times)
 
@@ -203,16 +203,16 @@ def _simulate_here(
 def _begin_rows(
     stack: ExitStack, worker: Worker, folder: Path | None, count: int, columns: int, kept: Keeping
 ) -> tuple[Path, int]:
-    """Create the file of the rows of a run, in the folder of the checkpoints, or until the stack ends.
+    """Create the file for the rows of a run, in the folder of the checkpoints, otherwise as a temporary file.
 
-    Without checkpoints the folder is beside the results, or elsewhere for lack of space. If there is no space for all
-    rows, the file has fewer.
+    A temporary file is beside the results or, if space is lacking there, elsewhere; `stack` removes it. If the disk has
+    no space for all rows, the file has room for fewer.
 
     Returns:
         The file and its number of rows.
 
     Raises:
-        DiskFull: The rows do not fit.
+        DiskFull: The disk has too little space for the rows.
     """
     elsewhere, given = Path(tempfile.gettempdir()), 0 if kept.start is None else kept.start.count
     rows = count
@@ -258,18 +258,19 @@ def simulate_rows(
     given: int,
     keeps: bool,
 ) -> tuple[Sequence[str], SimulationError | None, float | None, Mapping[str, Any]]:
-    """Simulate into a table file, in the worker.
+    """Simulate in the worker, and write rows into a table file.
 
     Args:
         table: File of the rows; further files are beside it.
-        rows: Number of rows for which it has room.
-        channel: Folder of the changes by observers, which may request an early end; None without observers.
+        rows: Number of rows for which the file has room.
+        channel: Folder for changes by observers; None if there are no observers.
         interval: As in `Keeping`.
         given: Number of rows of a stopped run that are in the files.
-        keeps: Whether a stop makes a checkpoint.
+        keeps: True if a checkpoint is written when the run is stopped.
 
     Returns:
-        Messages of the FMUs, the failure, the time of the last row [s], and fields of the results beside the rows.
+        Messages of the FMUs, the error if any, the time of the last row [s] if it is not a communication point, and
+        fields of the results in addition to the rows.
     """
     here.hold_if_abandoned()
     progress, place = here.progress, table.parent
@@ -281,7 +282,7 @@ def simulate_rows(
         if progress.stop[0]:
             raise _early_end(system, h, done)
 
-    def tell_loop(loop: str) -> None:  # for the caller to read even after a crash
+    def tell_loop(loop: str) -> None:  # the caller can read it even after a crash
         progress.loop = loop.encode()[:255]
 
     lock = lock_file(place / IN_USE, create=True) if interval is not None else None
@@ -314,15 +315,15 @@ def _log_lines(system: System) -> list[str]:
 
 
 def _early_end(system: System, h: float, done: int) -> EarlyEnd:
-    """Return the early end requested by an observer."""
+    """Return the EarlyEnd of a run that an observer ended after `done` rows."""
     return EarlyEnd("an observer", _time_of(system, h, done), Note("it requested the end of the run"))
 
 
 def _time_of(system: System, h: float, rows: int) -> float:
-    """Return the time [s] of the last of some rows."""
+    """Return the time [s] of the last of the first `rows` rows."""
     return system.start + h * max(0, rows - 1)
 
 
 def read_state(path: Path) -> bytes | None:
-    """Return the content of a state file, if any."""
+    """Return the content of a state file; None if the file does not exist."""
     return path.read_bytes() if path.is_file() else None

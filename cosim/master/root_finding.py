@@ -2,11 +2,12 @@
 
 Newton: (I − G)·Δz = g(z) − z with G = ∂g/∂z, damped until the residual decreases. After each step, the change of g
 corrects G (C. G. Broyden, A class of methods for solving nonlinear simultaneous equations, Math. Comp. 19 (1965), first
-method). G is kept between calls, and computed again when the residual decreases slowly. The end is reached when both
-the residual and the next Δz are small: near a singular I − G, a residual is small beside z without any solution near.
+method). G is kept between calls, and computed again when the residual decreases slowly. Iterations end when both the
+residual and the next Δz are small, because near a singular I − G the residual can be small far from any solution.
 
-Small means small beside the magnitude or the nominal value of an unknown. One without a declared nominal value may be
-tiny: beside 1, each point would then be a solution. Its own magnitude counts, unless no step decreases the residual.
+Small means small relative to the magnitude or the nominal value of an unknown. An unknown without a declared nominal
+value may be tiny, so that relative to 1 each point would be a solution. For such an unknown its magnitude counts,
+unless no step decreases the residual.
 
 Anderson: H. F. Walker, P. Ni, Anderson Acceleration for Fixed-Point Iterations, SIAM J. Numer. Anal. 49 (2011),
 eq. (2.2): the combination of the last m + 1 iterates with the smallest combined residual.
@@ -21,21 +22,21 @@ import numpy as np
 
 from cosim.core.arrays import Array, Flags
 
-SLOW = 0.25  # ratio of successive residuals, above which the slopes are computed again
+SLOW = 0.25  # ratio of successive residuals above which the Jacobian is computed again
 SHORTEST = 2.0**-10  # smallest share of a Newton step
-MOST_FAILURES = 1  # failures of current slopes; after the first, they are computed from differences
+MOST_FAILURES = 1  # failed iterations with a current Jacobian; after the first, it is computed by differences
 DEPTH = 8  # earlier iterates used by Anderson acceleration
-ROUNDED = 1e-13  # residual of rounding, relative to the largest magnitude
-Map = Callable[[Array], "Array | None"]  # g, or None where it is not defined
-Slopes = Callable[..., Array]  # of z, g(z) and `fresh`, which demands differences: ∂g/∂z at z
+ROUNDED = 1e-13  # residual due to rounding, relative to the largest magnitude
+Map = Callable[[Array], "Array | None"]  # g; returns None at points where g is not defined
+Slopes = Callable[..., Array]  # (z, g(z), fresh) → ∂g/∂z at z; `fresh` requires differences
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """End of iterations: unknowns, their residual g(z) − z, iterations, and whether the residual is small enough.
+    """Result of iterations: unknowns z, residual g(z) − z, number of iterations, and whether the residual is small.
 
     Attributes:
-        is_rough: Whether it is small beside 1, but not beside the magnitude of an unknown.
+        is_rough: True if the residual is small relative to 1, but not to the magnitude of an unknown.
     """
 
     z: Array
@@ -47,14 +48,14 @@ class Outcome:
 
 @dataclass
 class RootFinding:
-    """Settings and memory of a sequence of solutions.
+    """Solver settings, and memory between the solutions of a sequence of problems.
 
     Attributes:
         scale: Smallest magnitude of each unknown for relative tolerances.
-        is_assumed: Whether this magnitude of an unknown is assumed, not declared; by default none is.
+        is_assumed: For each unknown, True if its `scale` is assumed, not declared; by default all are declared.
         slopes: Last computed ∂g/∂z.
         computed: Number of computations of the slopes.
-        largest: Largest magnitude of all signals so far, for residuals of rounding.
+        largest: Largest magnitude of all signals so far, which determines the residual due to rounding.
     """
 
     tolerance: float
@@ -67,7 +68,7 @@ class RootFinding:
     _solved: Array | float = 0.0  # largest magnitude of each unknown in a solution
 
     def _own_size(self, z: Array, residual: Array, change: Array) -> float:
-        """Return the largest change relative to the unknowns' own magnitudes, without those of rounding."""
+        """Return the largest change relative to the magnitude of its unknown, apart from rounding."""
         seen = np.max([np.abs(z), np.abs(z + residual), np.abs(change), self._solved + 0.0 * z], axis=0)
         scale = np.maximum(np.abs(z), np.where(self.is_assumed, np.minimum(self.scale, seen), self.scale))
         counts = np.abs(change) > ROUNDED * max(self.largest, float(np.max(seen, initial=0.0)))
@@ -83,7 +84,7 @@ class RootFinding:
             return None
         residual = value - z
         size = self.size(z, residual)
-        is_current, failures = False, 0  # whether the slopes are of this call, and how often they were of no use
+        is_current, failures = False, 0  # True if the Jacobian is of this call; how often it failed
         converged = is_small = is_regular = False
         direction, first = residual, np.maximum(np.maximum(np.abs(z), np.abs(value)), self.scale)
         for iteration in range(self.most + 1):
@@ -94,22 +95,22 @@ class RootFinding:
                 self.slopes, is_current = slopes(z, value, fresh=failures > 0), True
                 self.computed += 1
                 if size <= self.tolerance:
-                    g(z)  # Differences leave another point behind.
+                    g(z)  # after differences, evaluate g at z again
             matrix = np.eye(z.size) - self.slopes
             try:
                 direction, is_regular = np.asarray(np.linalg.solve(matrix, residual)), True
-            except np.linalg.LinAlgError:  # the smallest of all solutions
+            except np.linalg.LinAlgError:  # singular: use the solution of minimum norm
                 direction, is_regular = np.asarray(np.linalg.lstsq(matrix, residual, rcond=None)[0]), False
             is_small = max(size, self.size(z, direction)) <= self.tolerance
             own = [self._own_size(z, residual, each) for each in (residual, direction)] if is_small else [np.inf]
-            # Without a unique next step, only a residual of rounding is small.
+            # If the next step is not unique, only a residual due to rounding counts as small.
             converged = max(own) <= self.tolerance if is_regular else own[0] == 0.0
             if converged or iteration == self.most or failures > MOST_FAILURES:
                 break
             moved = None
             if not is_small:
                 moved = self._damped(g, z, direction, size)
-            elif (there := g(ahead := z + direction)) is not None:  # The whole step must decrease the residual much.
+            elif (there := g(ahead := z + direction)) is not None:  # the full step must reduce the residual clearly
                 after = self._own_size(ahead, there - ahead, there - ahead)
                 moved = (ahead, there, 1.0) if after <= SLOW * own[0] else None
             if moved is None:
@@ -155,23 +156,23 @@ class RootFinding:
         return self._end(z, residual, iteration, is_small and own <= self.tolerance, is_small, True)
 
     def _updated(self, z: Array, dz: Array, dg: Array) -> Array:
-        """Return the slopes after Broyden's update."""
+        """Return the Jacobian after Broyden's update."""
         assert self.slopes is not None
         units = np.maximum(np.abs(z), self.scale)
         length = np.max(np.abs(dz / units))
-        if length <= self.tolerance:  # a change of g in which rounding may count
+        if length <= self.tolerance:  # in so small a change, rounding may dominate
             return self.slopes
-        along = dz / units / length  # without underflow
+        along = dz / units / length  # in this order to avoid underflow
         return np.asarray(self.slopes + np.outer((dg - self.slopes @ dz) / length, along / units) / (along @ along))
 
     def _end(self, z: Array, residual: Array, count: int, converged: bool, is_small: bool, is_rough: bool) -> Outcome:
-        """Return the outcome, accepted if the residual is small; note the magnitudes of an accepted one."""
+        """Return the outcome, and store the magnitudes of the unknowns if the residual is small enough."""
         if converged or is_small:
             self._solved = np.maximum(self._solved, np.abs(z))
         return Outcome(z, residual, count, converged or is_small, is_rough and is_small and not converged)
 
     def _damped(self, g: Map, z: Array, direction: Array, size: float) -> tuple[Array, Array, float] | None:
-        """Return a point with a smaller residual, the value of g at it, and the share of the step that leads to it."""
+        """Return a point z' with a smaller residual, g(z'), and the share of the full step that leads to z'."""
         share = 1.0
         while share >= SHORTEST and np.isfinite(direction).all():
             ahead = z + share * direction

@@ -12,7 +12,7 @@ from typing import Any
 
 from cosim.model.namespaces import Namespace
 
-Slope = Callable[[float, float, float], float]  # of both operands and the value
+Slope = Callable[[float, float, float], float]  # (operand, operand, value) → partial derivative
 
 
 class Dual:
@@ -32,7 +32,7 @@ class Dual:
     def __pos__(self) -> Dual:
         return self
 
-    __eq__, __lt__, __le__, __gt__, __ge__ = (  # by value
+    __eq__, __lt__, __le__, __gt__, __ge__ = (  # comparisons use the values only
         lambda self, other, compare=compare: bool(compare(self.value, _value(other)))
         for compare in (operator.eq, operator.lt, operator.le, operator.gt, operator.ge)
     )
@@ -44,7 +44,7 @@ def _value(number: Any) -> Any:
 
 
 def _lift(value: Callable[..., float], first: Slope, second: Slope | None = None) -> Callable[..., Any]:
-    """Return a function of one or two dual numbers, from the function of floats and its partial derivatives."""
+    """Return a function of dual numbers, from a function of one or two floats and its partial derivatives."""
 
     def lifted(a: Any, b: Any = 0.0) -> Any:
         v, w = _value(a), _value(b)
@@ -82,7 +82,7 @@ class DualNamespace(Namespace):
     cos = staticmethod(_lift(math.cos, lambda v, _, y: -math.sin(v)))
     tanh = staticmethod(_lift(math.tanh, lambda v, _, y: 1.0 - y * y))
     exp = staticmethod(_lift(math.exp, lambda v, _, y: y))
-    sqrt = staticmethod(_lift(math.sqrt, lambda v, _, y: 0.5 / y if y else 0.0))  # slope at 0 is unused
+    sqrt = staticmethod(_lift(math.sqrt, lambda v, _, y: 0.5 / y if y else 0.0))  # slope 0 at 0
 
     @staticmethod
     def rint(x: Any) -> Any:

@@ -15,21 +15,21 @@ from cosim.model.quantities import parameter
 class Delay(Effect):
     """Delay of all commands by T: u(t) → u(t − T).
 
-    A model's subclass has a name and `memory` with one quantity per input, and comes first in the catalogue. For longer
-    delays, the subclass raises `longest` and the upper bound of `time`.
+    A model declares a subclass with a name and with one quantity per input in `memory`, as the first effect of its
+    catalogue. For delays above `longest`, the subclass sets a larger `longest` and upper bound of `time`.
 
-    Over a substep, the mean of the delayed command acts, so that its impulse is exact for any T. The memory is the
-    history of commands (start time, command), oldest first.
+    During a substep, the mean of the delayed command acts, so that the integral of the command is exact for any T. The
+    memory is a history of pairs (start time, command), oldest first.
     """
 
     equation = "u(t) → u(t − T), all commands"
     delay = "time"
-    longest: ClassVar[float] = 0.5  # [s]
+    longest: ClassVar[float] = 0.5  # largest delay [s]
 
     time: float = parameter(0.0, unit="s", bounds=(0, longest), neutral=0.0, typical=0.04, doc="delay T")
 
     def remember(self, t: Number, start: Values) -> Values:
-        """Return a history with a constant past command."""
+        """Return the initial history: the start values of the commands, constant in the past."""
         return ((t - self.longest, start),)
 
     def shape(self, m: Namespace, t: Number, h: Number, command: Values, memory: Values) -> tuple[Values, Values]:
@@ -41,7 +41,7 @@ class Delay(Effect):
         first = next((k for k in range(len(history) - 1, 0, -1) if history[k][0] <= earliest), 0)
         for k, (since, value) in enumerate(history[first:], first):
             until = history[k + 1][0] if k + 1 < len(history) else t + h
-            since = since if k else begin  # the oldest command has no beginning
+            since = since if k else begin  # the start time of the oldest command is unknown
             overlap = m.maximum(0.0, m.minimum(until, end) - m.maximum(since, begin)) / h
             mean = [a + overlap * v for a, v in zip(mean, value, strict=True)]
         while len(history) > 1 and history[1][0] <= t + h - self.longest:
@@ -53,8 +53,8 @@ class Delay(Effect):
 class Gain(Effect):
     """Gain of one input: u → k·u.
 
-    A model's subclass has a name, the input's name in `input`, and a place in the catalogue. Delays and shaping of the
-    command act before.
+    A model lists a subclass with a name and the input's name in `input` in its catalogue. The gain acts after all
+    effects that delay or shape the command.
     """
 
     equation = "k·u in place of u"
@@ -67,7 +67,7 @@ class Gain(Effect):
         return {**command, self.input: self.gain * command[self.input]}
 
 
-# -- at a place of the equations; of a force, the first further quantity is the velocity -----------
+# -- effects on one quantity of the equations; for a force, `at[0]` is the velocity -----------
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -98,7 +98,7 @@ class Asymmetry(LocalEffect):
 
 @dataclass(frozen=True, kw_only=True)
 class DryFriction(LocalEffect):
-    """Dry friction, smoothed below the velocity ε, the class attribute `softness`: F − L·tanh(v/ε)."""
+    """Dry friction F − L·tanh(v/ε), smoothed below the velocity ε, which is the class attribute `softness`."""
 
     equation = "force −L·tanh(v/ε)"
     softness: ClassVar[float]
@@ -138,10 +138,10 @@ class QuadraticDrag(LocalEffect):
 
 @dataclass(frozen=True, kw_only=True)
 class FirstOrderLag(LocalEffect):
-    """First-order lag of the quantities at a place, with one state each: τ·ẏ = x − y, and y acts in place of x.
+    """First-order lag of each quantity x at a place: τ·ẏ = x − y, with a state y that acts in place of x.
 
     Attributes:
-        shortest: Time constants above 0 and below this count as this [s].
+        shortest: Lower limit [s] of a time constant above 0; a shorter one is raised to this value.
     """
 
     equation = "τ·ẏ = x − y, y in place of x"
@@ -150,7 +150,7 @@ class FirstOrderLag(LocalEffect):
     time: float
 
     def follow(self, m: Namespace, values: Values, states: Values) -> tuple[Values, Values]:
-        """Return y, or x without a lag, and the derivatives of y."""
+        """Return the lagged quantities y (x itself for τ = 0) and the derivatives of y."""
         slow, time = self.time > 0.0, m.maximum(self.time, self.shortest)
         pairs = tuple(zip(values, states, strict=True))
         return tuple(m.where(slow, y, x) for x, y in pairs), tuple((x - y) / time for x, y in pairs)

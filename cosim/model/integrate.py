@@ -17,7 +17,7 @@ Derivative = Callable[[Number, Values, Values], Values]
 
 
 def substeps(step: float, longest: float) -> int:
-    """Return the number of substeps in a step so that none is longer than `longest`, apart from rounding."""
+    """Return the least number of equal substeps not longer than `longest`, apart from rounding."""
     return max(1, math.ceil(step / longest - 1e-6))
 
 
@@ -63,7 +63,7 @@ class Stepper:
     def shape(
         self, t: Number, h: Number, command: Values, memory: tuple[Values, ...]
     ) -> tuple[Values, tuple[Values, ...]]:
-        """Return the command after all shaping effects, and their new memory."""
+        """Return the command after all shaping effects, and the new memory of each effect."""
         after = []
         for effect, values in zip(self.shaping, memory, strict=True):
             command, values = effect.shape(self.namespace, t, h, command, values)
@@ -72,7 +72,7 @@ class Stepper:
 
     @cached_property
     def _slopes(self) -> Derivative:
-        """Return the derivative function on dual numbers, for the Jacobian."""
+        """Return the derivative function ẋ = f(t, x, u) on dual numbers, for the Jacobian."""
         return self.model.acting(DualNamespace()).derivative
 
     def step(self, moment: Moment, command: Values, h: float) -> Moment:

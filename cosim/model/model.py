@@ -24,7 +24,7 @@ INTEGRATORS = (AUTO, RK4, STIFF)
 
 @dataclass(frozen=True, kw_only=True)
 class Parametric:
-    """A frozen dataclass of parameters with checked bounds; one error names all faults."""
+    """A frozen dataclass of parameters with checked bounds; a single error names all invalid values."""
 
     def invalid_values(self) -> list[str]:
         """Return one sentence for each invalid parameter."""
@@ -43,11 +43,12 @@ class Effect(Parametric):
         name: Name in the catalogue and the FMU (`name.parameter`).
         states: Additional continuous states.
         memory: Quantities stored between substeps; each has a start value `name.memory_start`.
-        delay: Name of the parameter that delays all inputs [s]. The effect is first in the catalogue and stores a
-            history of commands, with one quantity in `memory` per input. Fits use the log instead.
-        starts: Additional start values of fits, for likelihoods with several maxima.
+        delay: Name of the parameter that delays all inputs [s]. Such an effect is first in the catalogue and stores a
+            history of commands, with one quantity in `memory` per input. Fits read the delayed commands from the log
+            instead.
+        starts: Additional points from which fits start, for likelihoods with several maxima.
         at_least: Parameter → parameter of the same effect that is its lower bound in every fit.
-        resolved: Parameters limited below by the integration step; a fit may end at this limit.
+        resolved: Parameters whose lower limit follows from the integration step; a fit may end at this limit.
     """
 
     name: ClassVar[str]
@@ -65,7 +66,7 @@ class Effect(Parametric):
 
     @property
     def dormant(self) -> bool:
-        """Return True if all parameters with a neutral value have it; arrays and symbols are active."""
+        """Return True if all parameters with a neutral value equal it; False for arrays and symbols."""
         switches = (p for p in parameters_of(self) if p.neutral is not None)
         return all(isinstance(v := getattr(self, p.name), (int, float)) and v == p.neutral for p in switches)
 
@@ -82,12 +83,12 @@ class Effect(Parametric):
         return command, memory
 
     def transmit(self, m: Namespace, command: Mapping[str, Number]) -> Mapping[str, Number]:
-        """Return the effective commands by input name, as used in derivative and output."""
+        """Return the commands, by input name, that act in derivative and output."""
         return command
 
     @classmethod
     def named(cls, name: str, **members: Any) -> type[Any]:
-        """Return a subclass with a name, parameters and other members; its `line` is that of the caller."""
+        """Return a subclass with a name, parameters and other members, and with the caller's line for messages."""
         caller = sys._getframe(1)
         module = caller.f_globals.get("__name__", cls.__module__)
         own = {"__doc__": cls.__doc__, "__module__": module, "line": caller.f_lineno}
@@ -97,21 +98,21 @@ class Effect(Parametric):
 
 
 class LocalEffect(Effect):
-    """An effect that changes one quantity of the equations, at a place that the model lists in `places`."""
+    """An effect that changes one quantity of the equations, at one of the `places` that the model declares."""
 
     place: ClassVar[str]
 
     def change(self, m: Namespace, value: Number, *at: Number) -> Number:
-        """Return the quantity with the effect; `at` are further quantities of the place, such as a velocity."""
+        """Return the changed quantity; `at` are further quantities of the place, such as a velocity."""
         return value
 
     def follow(self, m: Namespace, values: Values, states: Values) -> tuple[Values, Values]:
-        """Return the quantities that an effect with states puts in place of others, and the states' derivatives."""
+        """Return the quantities that replace those of the place, and the derivatives of the effect's states."""
         raise NotImplementedError
 
 
 def overrides(effects: tuple[Any, ...], hook: str, base: type) -> tuple[Any, ...]:
-    """Return the effects, in order, whose class overrides the method `hook`."""
+    """Return the effects, in order, whose class overrides the method `hook` of the class `base`."""
     return tuple(e for e in effects if getattr(type(e), hook) is not getattr(base, hook))
 
 
@@ -120,7 +121,7 @@ def _parameters_by_name(kinds: tuple[type[Any], ...]) -> dict[str, Parameter]:
 
 
 class Validity(NamedTuple):
-    """A valid range of some inputs of one quantity, with a sentence on the consequence of leaving it."""
+    """A range of validity for some inputs, all of one quantity, with a sentence on the consequence of leaving it."""
 
     quantity: str
     inputs: tuple[str, ...]
@@ -130,10 +131,11 @@ class Validity(NamedTuple):
 
 
 class Equations(NamedTuple):
-    """The equations bound to a namespace and parameter values.
+    """The equations of a model with its parameter values, computed by a namespace's functions.
 
     Attributes:
-        derivative: (t, state, command) → d state / d t, tuples with effect states last.
+        derivative: (t, state, command) → derivative of the state by time. In these tuples, the states of effects are
+            last.
         output: (t, state, command) → outputs.
     """
 
@@ -143,17 +145,17 @@ class Equations(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class Model(Parametric):
-    """Base class of models: declared quantities, parameters as fields, additive effects."""
+    """Base class of models. A subclass declares quantities, parameters as fields, effects and equations."""
 
     title: ClassVar[str]
     base_states: ClassVar[tuple[Quantity, ...]]
     inputs: ClassVar[tuple[Quantity, ...]]
     outputs: ClassVar[tuple[Quantity, ...]]
     catalogue: ClassVar[tuple[type[Effect], ...]] = ()
-    places: ClassVar[tuple[str, ...]] = ()  # of local effects
-    # Knowledge about a real plant, in order: possible sensor errors; variance of each measured output; variance of each
-    # unmeasured state at the start of a log (default: squared range of the model's own run); states with possibly
-    # deficient equations; parameters recalibrated in every fit; further suspect parameters.
+    places: ClassVar[tuple[str, ...]] = ()  # names of the quantities that local effects can change
+    # Knowledge about a real plant, in this order: possible sensor errors; variance of each measured output; variance of
+    # each unmeasured state at the start of a log (default: squared range in a simulation of the model); states whose
+    # equations may be deficient; parameters adjusted in every fit; further parameters that may be wrong.
     sensors: ClassVar[tuple[type[Any], ...]] = ()
     sensor_variance: ClassVar[Mapping[str, float]] = {}
     start_variance: ClassVar[Mapping[str, float]] = {}
@@ -161,16 +163,16 @@ class Model(Parametric):
     calibrated: ClassVar[tuple[str, ...]] = ()
     # parameter → inputs that must vary in the logs for identifiability
     suspect: ClassVar[Mapping[str, tuple[str, ...]]] = {}
-    told_apart_by: ClassVar[Mapping[frozenset[str], str]] = {}  # rivals → experiment that separates them, in words
+    told_apart_by: ClassVar[Mapping[frozenset[str], str]] = {}  # hypotheses → experiment that separates them
     drawn_against: ClassVar[Mapping[str, tuple[str, ...]]] = {}  # effect or parameter → signals for plots
-    measured: ClassVar[tuple[str, ...]] = ()  # usually logged outputs; default: those of `sensor_variance`
+    measured: ClassVar[tuple[str, ...]] = ()  # outputs that logs usually have; default: outputs in `sensor_variance`
     excursion: ClassVar[Mapping[str, float]] = {}  # signal → allowed deviation from its start in an experiment
-    valid: ClassVar[tuple[Validity, ...]] = ()  # ranges of validity; the model warns once outside of each
+    valid: ClassVar[tuple[Validity, ...]] = ()  # the model warns once per range
     planar: ClassVar[PlanarFrame | None] = None  # signal names of a planar motion
-    substep: ClassVar[float] = 0.005  # longest integration substep [s]
+    substep: ClassVar[float] = 0.005  # largest integration substep [s]
     integrator: ClassVar[str] = AUTO  # one of INTEGRATORS; "auto" is RK4, or the implicit method for a stiff model
-    rate: ClassVar[float] = 0.02  # communication step of the model's design [s]
-    horizon: ClassVar[float] = 2.0  # [s] duration of replays for judgement; infinite: one free run over the whole log
+    rate: ClassVar[float] = 0.02  # communication step [s] for which the model is designed
+    horizon: ClassVar[float] = 2.0  # [s] length of the replays that measure the error; infinite: the whole log
 
     effects: tuple[Any, ...] = field(default=())
     chosen_substep: float | None = field(default=None)  # [s]; replaces `substep` if the class states none
@@ -194,15 +196,15 @@ class Model(Parametric):
                 object.__setattr__(self, name, choice)
 
     def equations(self, m: Namespace) -> Equations:
-        """Return the equations bound to a namespace."""
+        """Return the model's equations, computed by the functions of a namespace."""
         raise NotImplementedError
 
     def start_state(self, m: Namespace = SCALAR) -> dict[str, Number]:
-        """Return start values that replace those declared for base states."""
+        """Return name → start value for base states whose start value differs from the declared one."""
         return {}
 
     def warning(self, command: Values) -> str | None:
-        """Return a warning for a command outside the declared ranges, or None."""
+        """Return a warning if a command is outside a declared range of validity; otherwise None."""
         commands = {q.name: (value, q.unit) for q, value in zip(self.inputs, command, strict=True)}
         for quantity, inputs, low, high, beyond in self.valid:
             values = [commands[name] for name in inputs]
@@ -211,13 +213,13 @@ class Model(Parametric):
         return None
 
     def start_input(self) -> dict[str, Number]:
-        """Return start values that replace those declared for inputs: name → value."""
+        """Return name → start value for inputs whose start value differs from the declared one."""
         return {}
 
     # -- common to all models ----------------------------------------------------------------
 
     def effects_at(self, m: Namespace) -> Callable[..., Number]:
-        """Return (place, value, further quantities) → the value with the active local effects of the place."""
+        """Return a function of (place, value, further quantities) that applies the place's active local effects."""
         local = overrides(tuple(e for e in self.awake if isinstance(e, LocalEffect)), "change", LocalEffect)
         effects = {place: [e for e in local if e.place == place] for place in self.places}
 
@@ -229,7 +231,7 @@ class Model(Parametric):
         return changed
 
     def lag_at(self, m: Namespace, place: str, values: Values, states: Values) -> tuple[Values, Values]:
-        """Return the quantities of a place after its active lag, and the derivatives of the states of that lag.
+        """Return the quantities at a place after its active lag, and the derivatives of that lag's states.
 
         Args:
             states: States of all active effects.
@@ -244,7 +246,7 @@ class Model(Parametric):
         return values, ()
 
     def acting(self, m: Namespace) -> Equations:
-        """Return the equations after the effects have changed the commands."""
+        """Return the equations with all active effects."""
         derivative, output = equations = self.equations(m)
         names = [q.name for q in self.inputs]
         terms = overrides(self.awake, "transmit", Effect)
@@ -264,7 +266,7 @@ class Model(Parametric):
 
     @property
     def awake(self) -> tuple[Any, ...]:
-        """Return the active effects in catalogue order."""
+        """Return the active (not dormant) effects in catalogue order."""
         return tuple(e for e in self.effects if not e.dormant)
 
     @property
@@ -281,12 +283,12 @@ class Model(Parametric):
 
     @property
     def declared(self) -> dict[str, Parameter]:
-        """Return all parameters by name, those of the catalogue as `effect.parameter`."""
+        """Return name → parameter, for the model and its whole catalogue (`effect.parameter`)."""
         return {p.name: p for p in self.parameters} | _parameters_by_name(self.catalogue)
 
     @property
     def sensor_parameters(self) -> dict[str, Parameter]:
-        """Return the sensor parameters by `sensor.parameter`."""
+        """Return `sensor.parameter` → parameter, for all possible sensor errors."""
         return _parameters_by_name(self.sensors)
 
     def with_effect(self, effect: Any) -> Self:
@@ -311,7 +313,7 @@ class Model(Parametric):
         return model
 
     def with_substep(self, substep: float | None, integrator: str | None = None) -> Self:
-        """Return the model with another longest substep [s] and integrator; None restores the default."""
+        """Return the model with another longest substep [s] and integrator; None selects the default."""
         return replace(self, chosen_substep=substep, chosen_integrator=integrator)
 
     def start(self, values: Mapping[str, Number] | None = None, m: Namespace = SCALAR) -> Values:
@@ -321,6 +323,6 @@ class Model(Parametric):
         return tuple(values.get(s.name, own.get(s.name, s.start)) for s in self.states)
 
     def start_command(self) -> Values:
-        """Return the inputs' start values, in their order."""
+        """Return the start values of the inputs, in their order."""
         own = self.start_input()
         return tuple(own.get(q.name, q.start) for q in self.inputs)

@@ -37,14 +37,14 @@ SCALAR = Namespace()
 
 
 def arrays() -> Any:
-    """Return the NumPy namespace, for many runs in parallel."""
+    """Return the NumPy namespace, with which the equations compute many runs at once."""
     import numpy
 
     return numpy
 
 
 class SymbolNamespace(Namespace):
-    """SymPy expressions, for Jacobians, generated code and dependencies."""
+    """Namespace of SymPy expressions, for Jacobians, generated code and dependencies."""
 
     def __init__(self) -> None:
         import sympy
@@ -59,10 +59,10 @@ class SymbolNamespace(Namespace):
     def where(self, condition: Any, then: Any, otherwise: Any) -> Any:  # type: ignore[override]
         if condition in (True, False):
             return then if condition else otherwise
-        # Unevaluated, because simplification of nested branches takes seconds without effect.
+        # Without evaluation, because sympy would spend seconds on simplifying nested branches in vain.
         return self._piecewise((then, condition), (otherwise, True), evaluate=False)
 
-    # Branches instead of sympy's Max and Min, whose derivatives are Heaviside functions.
+    # Branches replace sympy's Max and Min, whose derivatives are Heaviside functions.
     def maximum(self, a: Any, b: Any) -> Any:
         return self.where(a >= b, a, b)
 

@@ -13,7 +13,7 @@ from cosim.model.namespaces import Namespace
 
 
 def world_velocity(m: Namespace, heading: Any, forward: Any, right: Any) -> tuple[Any, Any]:
-    """Return the velocity in world axes from local components.
+    """Return the velocity in world axes from its components in local axes.
 
     With v forward, w rightward and heading ψ: Ẋ = v·cos ψ + w·sin ψ, Ẏ = v·sin ψ − w·cos ψ.
     """
@@ -21,7 +21,7 @@ def world_velocity(m: Namespace, heading: Any, forward: Any, right: Any) -> tupl
     return forward * c + right * s, forward * s - right * c
 
 
-# The map is its own inverse (a rotation and a mirror), so the same function transforms world vectors to local axes.
+# The map (a rotation and a mirror) is its own inverse, so it also transforms world vectors to local axes.
 local_vector = world_velocity
 
 

@@ -28,7 +28,7 @@ class Parameter:
     Attributes:
         neutral: Value at which the effect vanishes; None if no value of this parameter removes the effect.
         typical: Size of a clearly visible effect, used as start value and step scale of a fit.
-        tolerance: Relative uncertainty of the stated value, the half-width of 95 %.
+        tolerance: Half-width of the 95 % interval of the stated value, as a share of the value.
     """
 
     name: str
@@ -41,9 +41,9 @@ class Parameter:
     tolerance: float | None = None
 
     def fault(self, value: object) -> str | None:
-        """Return a sentence on why a value is not allowed; None for a valid value.
+        """Return a sentence that says why a value is not allowed; None for an allowed value.
 
-        Arrays and symbols are not checked.
+        Arrays and symbols are always allowed.
         """
         if isinstance(self.default, bool):
             return None if isinstance(value, bool) else f"{self.name} is {value!r}; allowed: true or false"
@@ -73,7 +73,7 @@ def parameter(
 
 
 def size(unit: str, bounds: tuple[float, float], typical: float, doc: str) -> Any:
-    """Declare a parameter of an effect that is dormant at the default 0."""
+    """Declare a parameter of an effect; default and neutral value are 0, where the effect is dormant."""
     return parameter(0.0, unit=unit, bounds=bounds, neutral=0.0, typical=typical, doc=doc)
 
 
@@ -88,5 +88,5 @@ def parameters_of(owner: Any) -> tuple[Parameter, ...]:
     return parameters
 
 
-# A fit reads the parameters thousands of times.
+# Cached, because a fit reads the parameters thousands of times.
 _parameters: WeakKeyDictionary[type, tuple[Parameter, ...]] = WeakKeyDictionary()

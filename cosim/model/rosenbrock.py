@@ -38,7 +38,7 @@ Derivative = Callable[[Any, Any, Any], Vector]
 
 
 def step(f: Derivative, J: Sequence[Vector], t: float, x: Vector, u: Vector, h: float) -> tuple[float, ...]:
-    """Return x(t + h) with constant command u.
+    """Return x(t + h) by one step of length h, with constant command u.
 
     Raises:
         ArithmeticError: The linear equations are singular.
@@ -62,7 +62,7 @@ def step(f: Derivative, J: Sequence[Vector], t: float, x: Vector, u: Vector, h: 
 
 
 def factor(a: list[list[float]]) -> list[int]:
-    """Factor a matrix in place into L and U; return the row order."""
+    """Replace a matrix by its LU factors; return the order of its rows after pivoting."""
     n = len(a)
     order = list(range(n))
     for c in range(n):
@@ -79,7 +79,7 @@ def factor(a: list[list[float]]) -> list[int]:
 
 
 def solve(a: Sequence[Vector], order: Sequence[int], b: Vector) -> list[float]:
-    """Return the solution of equations factored by `factor`."""
+    """Return the solution of linear equations with right-hand side b, from the LU factors and row order of `factor`."""
     n = len(a)
     x = [b[k] for k in order]
     for i in range(n):

@@ -1,7 +1,7 @@
 """Sensor errors, which act on the measurement and not on the plant.
 
-A model declares possible sensor errors as subclasses. Each has a name, an output, and one parameter `value` with unit
-and typical size of the error.
+A model declares possible sensor errors as subclasses. A subclass has a name, an output, and one parameter `value` with
+the unit and typical size of the error.
 """
 
 from __future__ import annotations
@@ -19,33 +19,33 @@ from cosim.model.quantities import parameter
 class SensorError(Effect):
     """An error in the reading of an output.
 
-    `measure` returns the reading of a true value; it is a linear function. An error common to several outputs lists
-    them in `outputs` instead of `output`. A reading that depends on time or on other outputs overrides `read` (for
-    several outputs, `readings`), which returns the true output plus a term of time and the other outputs.
+    `measure` returns the reading, a linear function of the true value. An error of several outputs lists them in
+    `outputs` instead of `output`. If the reading depends on time or on other outputs, override `read` (or `readings`
+    for several outputs), which returns the true output plus a term of time and the other outputs.
     """
 
     output: ClassVar[str]
     outputs: ClassVar[tuple[str, ...]] = ()
     late: ClassVar[bool] = False  # True if `value` is a latency of readings
     lagging: ClassVar[bool] = False  # True if `value` is a time constant of the sensor
-    complete: ClassVar[float | None] = None  # value of the complete error, if a fit that begins without it stays away
+    complete: ClassVar[float | None] = None  # further start of fits: the value of a complete error
 
     def measure(self, value: Number) -> Number:
-        """Return the reading for a true value."""
+        """Return the reading of an output with this true value."""
         return value
 
     def read(self, m: Namespace, t: Number, outputs: Mapping[str, Number]) -> Number:
-        """Return the reading at time `t` [s] from the model's true outputs by name."""
+        """Return the reading of the affected output at time `t` [s]; `outputs` are the model's true outputs by name."""
         return self.measure(outputs[self.affected()[0]])
 
     def readings(self, m: Namespace, t: Number, outputs: Mapping[str, Number]) -> dict[str, Number]:
-        """Return the readings of all affected outputs by name."""
+        """Return name → reading of all affected outputs at time `t` [s], from the true outputs by name."""
         names = self.affected()
         return {n: self.measure(outputs[n]) for n in names} if len(names) > 1 else {names[0]: self.read(m, t, outputs)}
 
     @classmethod
     def affected(cls) -> tuple[str, ...]:
-        """Return the affected outputs."""
+        """Return the names of the affected outputs."""
         return cls.outputs or (cls.output,)
 
     @classmethod
@@ -88,7 +88,7 @@ class Scale(SensorError):
 
 @dataclass(frozen=True, kw_only=True)
 class Magnitude(SensorError):
-    """Magnitude in place of the signed value: reading (1 − m)·y + m·|y|, with m = 1 for a sensor without direction."""
+    """Loss of the sign: reading (1 − m)·y + m·|y|, with m = 1 for a sensor that measures the magnitude only."""
 
     equation = "reading (1 − m)·y + m·|y|"
     complete = 1.0
@@ -118,9 +118,8 @@ class Drift(SensorError):
 class LeverArm(SensorError):
     """Lever arm l between sensor and reference point of the output: reading y + l·c, with c from other outputs.
 
-    A model names the `others` required for c, in addition to `output` or `outputs`, and defines c in `carried`. Planar
-    motion of a rigid body with heading ψ to the left and a sensor l ahead follows from r_P = r + l·e and its
-    derivatives:
+    A model names `output` or `outputs` and the `others` from which c follows, and defines c in `carried`. Planar motion
+    of a rigid body with heading ψ to the left and a sensor l ahead follows from r_P = r + l·e and its derivatives:
 
         position   x + l·cos ψ,  y + l·sin ψ        c = cos ψ, sin ψ
         velocity   to the left   v + l·ψ̇           c = ψ̇
@@ -133,7 +132,7 @@ class LeverArm(SensorError):
     value: float = parameter(0.0, unit="m", bounds=(-1, 1), neutral=0.0, typical=0.05, doc="lever arm l, ahead")
 
     def carried(self, m: Namespace, *others: Number) -> Values:
-        """Return the contribution of one metre of lever arm to each output.
+        """Return c for each affected output: the change of the reading per metre of lever arm.
 
         Args:
             others: Values of `others` in their order.

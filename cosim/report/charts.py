@@ -1,4 +1,4 @@
-"""Charts of a page: specifications and rows for its script, which draws them and reads them at the cursor."""
+"""Charts of a page: specifications and rows, which the page's script draws and shows at the cursor."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from cosim.core.arrays import Array, Rows
 from cosim.core.messages import printable_json
 from cosim.report.panels import Panel, Trace, extent
 
-MAX_CELLS = 6_000_000  # values in a page; beyond, every n-th row
-MAX_COUNT = 1e9  # held whole numbers below have no decimals
-DIGITS, SPAN_DIGITS = 5, 4  # significant digits of the largest value and of the span
-ROUNDING = 1e-12  # of the largest value: a signal with a smaller span is constant
-MAX_EXACT = 1e15  # whole numbers up to here are exact in the script
+MAX_CELLS = 6_000_000  # values in a page; of longer runs, every n-th row
+MAX_COUNT = 1e9  # below this, held integers have no decimals
+DIGITS, SPAN_DIGITS = 5, 4  # significant digits of a signal's largest value, and of its range
+ROUNDING = 1e-12  # a signal whose range is a smaller share of its largest value is constant
+MAX_EXACT = 1e15  # integers up to this size are exact in JavaScript
 MAX_DECIMALS = 300  # decimals; larger powers of ten overflow
-BYTES = 7  # of a difference in a page
+BYTES = 7  # largest size of a difference in a page
 TIME = ("time", "s")
 NOTHING: Mapping[str, Any] = MappingProxyType({})
 
@@ -35,8 +35,8 @@ class Plot:
     """A chart for a template.
 
     Attributes:
-        number: Place among the charts of the page.
-        spec: What the page's script gets.
+        number: Index of the chart in the page.
+        spec: Specification for the page's script.
         summary: Text in place of the picture.
     """
 
@@ -46,12 +46,12 @@ class Plot:
 
 
 class Charts:
-    """The charts of a page. The charts of one drawing have a common cursor and zoom."""
+    """The charts of a page. Charts of one `Drawing` share cursor and zoom."""
 
     def __init__(self) -> None:
         self._charts: list[dict[str, Any]] = []
         self._groups: list[dict[str, Any]] = []
-        self._columns: list[tuple[Array, int, bool]] = []  # values, decimals, whether a group has fewer rows
+        self._columns: list[tuple[Array, int, bool]] = []  # values, decimals, True with one per x
 
     def over(
         self,
@@ -63,14 +63,14 @@ class Charts:
         log: bool = False,
         points: bool = False,
     ) -> Drawing:
-        """Start a drawing of panels over common values x.
+        """Start a drawing of panels with common x values.
 
         Args:
             over: Name and unit of the x axis.
             ends: Limits of the axis, by default its first and last value.
-            breaks: Rows after which traces with `anew` restart.
-            log: Whether the axis is logarithmic; x is positive.
-            points: Whether the cursor reads the point nearest to it.
+            breaks: Indices of rows after which traces with `anew` are interrupted.
+            log: True for a logarithmic axis; all x must be positive.
+            points: True if the cursor shows the values of the nearest point.
         """
         self._columns.append((x, decimals_of_time(x), True))
         group = {"over": over, "ends": ends, "breaks": list(breaks), "log": log, "points": points}
@@ -80,11 +80,11 @@ class Charts:
     def alone(
         self, panel: Panel, ends: tuple[float, float], over: tuple[str, str], *, log: bool = False, **more: Any
     ) -> Plot:
-        """Draw a chart whose traces have their own x, in `Trace.x` and `Band.x`.
+        """Draw a chart whose traces and band have their own x values (`Trace.x`, `Band.x`).
 
         Args:
             ends: Limits of the x axis.
-            more: For the script, such as `uprights`, values of x with a line.
+            more: Further settings for the script, such as `uprights`: values of x that are marked by a line.
         """
         places = [np.asarray(t.x) for t in panel.traces] + ([np.asarray(panel.band.x)] if panel.band else [])
         return self.over(np.unique(np.concatenate(places)), over, ends, log=log).plots([panel], **more)[0]
@@ -92,12 +92,13 @@ class Charts:
     def points(
         self, panel: Panel, ends: tuple[float, float], over: tuple[str, str], also: Mapping[str, Array], **more: Any
     ) -> Plot:
-        """Draw the only trace of a panel as points; the cursor reads the nearest point.
+        """Draw the only trace of a panel as points; the cursor shows the values of the nearest point.
 
         Args:
             ends: Limits of the x axis.
-            also: Further values of each point by label.
-            more: For the script: `reach`, limits of the y axis, and `uprights`, values of x with a line.
+            also: Label → further value of each point.
+            more: Settings for the script: `reach`, limits of the y axis; `uprights`, values of x that are marked by a
+                line.
         """
         (trace,) = panel.traces
         drawing = self.over(np.asarray(trace.x), over, ends, points=True)
@@ -105,11 +106,11 @@ class Charts:
         return drawing.plots([replace(panel, traces=[replace(trace, x=None)])], also=further, **more)[0]
 
     def column(self, values: Array, *, held: bool = False, common: bool = True) -> int:
-        """Add a column and return its key in the script.
+        """Add a column of values and return its index, by which the script reads it.
 
         Args:
-            held: Whether whole numbers have no decimals.
-            common: Whether it has the rows of the x axis of its drawing.
+            held: True if integers are stored without decimals.
+            common: True if the column has one value per x of its drawing.
         """
         finite = values[np.isfinite(values)]
         is_whole = held and bool(np.all(np.abs(finite) < MAX_COUNT)) and np.array_equal(finite, np.rint(finite))
@@ -117,7 +118,7 @@ class Charts:
         return len(self._columns) - 1
 
     def add(self, group: int, panel: Panel, more: Mapping[str, Any]) -> Plot:
-        """Add a chart of a drawing."""
+        """Add a chart to a group of charts; `more` contains further settings for the script."""
 
         def own(x: Array | None) -> int | None:
             return None if x is None else self.column(np.asarray(x), common=False)
@@ -165,25 +166,25 @@ class Charts:
 
 @dataclass(frozen=True)
 class Drawing:
-    """Charts over common values x; a chart of a single row shows dots."""
+    """Charts with common x values. With a single row, a chart shows dots."""
 
     charts: Charts
     group: int
     x: Array
 
     def plots(self, panels: Sequence[Panel], **more: Any) -> list[Plot]:
-        """Add panels; `more` is for the script."""
+        """Add panels and return their charts; `more` contains further settings for the script."""
         return [self.charts.add(self.group, panel, more) for panel in panels]
 
 
 def _rows(count: int, every: int) -> Rows:
-    """Return every n-th row, and the last one."""
+    """Return the indices of every n-th row and of the last row."""
     rows = np.arange(0, count, every)
     return rows if not count or rows[-1] == count - 1 else np.append(rows, count - 1)
 
 
 def sample_rows(count: int, limit: int) -> Rows:
-    """Return about `limit` row numbers at equal distance, and the last row."""
+    """Return the indices of about `limit` equidistant rows and of the last row."""
     return _rows(count, max(1, math.ceil(count / limit)))
 
 
@@ -197,7 +198,7 @@ def round_values(values: Array, digits: int) -> list[float | None]:
 
 
 def decimals_of(values: Array) -> int:
-    """Return the number of decimals to store a column with, negative for large numbers."""
+    """Return the number of decimals with which a column is stored; negative for large numbers."""
     good = values[np.isfinite(values)]
     if not good.size or not np.any(good):
         return 0
@@ -210,7 +211,7 @@ def decimals_of(values: Array) -> int:
 
 
 def decimals_of_time(time: Array) -> int:
-    """Return the number of decimals to store time with: a thousandth of the least step, and a microsecond."""
+    """Return the number of decimals with which times are stored: finer than 1/1000 of the least step and than 1 µs."""
     steps = np.diff(time)
     steps = steps[steps > 0.0]
     digits = max(6, 3 - math.floor(math.log10(float(steps.min())))) if steps.size else 6
@@ -219,10 +220,10 @@ def decimals_of_time(time: Array) -> int:
 
 
 def pack(columns: Sequence[tuple[Array, int]]) -> str:
-    """Return columns and their decimals as base64 text, deflated.
+    """Return columns, given as (values, decimals), as compressed base64 text.
 
-    A column contains differences of whole multiples of 10^-decimals, as zigzag numbers, first the lowest byte of each;
-    a column with gaps is followed by a byte for each row.
+    Values are rounded to integer multiples of 10^-decimals. A column contains their differences as zigzag numbers:
+    first the lowest byte of all differences, then the next bytes. A column with gaps is followed by one byte per row.
     """
     parts = []
     for values, decimals in columns:

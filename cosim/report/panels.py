@@ -1,4 +1,4 @@
-"""Panels of signals in display units, common to page and figures."""
+"""Panels of signals in display units, for pages and figures."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from cosim.core.arrays import Array
 from cosim.core.text import displayed, shown_unit
 
 OTHERS_PER_PANEL = 6
-WIDEST_RANGES = 20.0  # axis' range over the range of a signal without a unit; smaller signals would look constant
+WIDEST_RANGES = 20.0  # axis' range per range of a signal without a unit: smaller signals look constant
 CONSTANT = 1e-9  # range of a constant signal, relative to its size
 NO_UNIT_TEXT = "no unit declared"  # in place of a unit on an axis; the script of a page reads it, too
 
@@ -27,11 +27,11 @@ class Trace:
     Attributes:
         values: Values in the panel's unit.
         held: True if each value is held until the next sample, as commands are.
-        anew: True if the line restarts at each break of its drawing.
-        x: Increasing values of the horizontal axis; None takes the values of the drawing.
+        anew: True if each break of the drawing interrupts the line.
+        x: Increasing x values; None means the x values of the drawing.
         stems: True for lines from zero to each value.
         upper: Upper ends of bars that begin at the values.
-        items: Texts shown instead of values.
+        items: Value → text that is shown instead of the value.
     """
 
     label: str
@@ -50,7 +50,7 @@ class Band:
     """A shaded region between two lines.
 
     Attributes:
-        x: Increasing values of the horizontal axis; None takes the values of the drawing.
+        x: Increasing x values; None means the x values of the drawing.
     """
 
     label: str
@@ -64,7 +64,7 @@ class Panel:
     """One set of axes with traces, band and limits.
 
     Attributes:
-        outside: Intervals of time [s] in which the model has left the region of its logs.
+        outside: Intervals of time [s] in which the model is outside the region covered by its logs.
     """
 
     title: str
@@ -78,7 +78,7 @@ class Panel:
 
 
 def axis_unit(unit: str) -> str:
-    """Return the label of an axis for the values of a unit."""
+    """Return the label of an axis that shows values of a unit."""
     return shown_unit(unit) or unit or NO_UNIT_TEXT
 
 
@@ -91,11 +91,11 @@ def signal_panel(
     held: bool = False,
     **more: Any,
 ) -> Panel:
-    """Return a panel in the display unit of a unit.
+    """Return a panel that shows signals of one unit in its display unit.
 
     Args:
-        lines: Label, values in the unit, and style of each line.
-        band: Label and edges in the unit.
+        lines: (label, values in the unit, style) of each line.
+        band: (label, lower edge, upper edge), edges in the unit.
         more: Further attributes of the panel.
     """
     traces = [Trace(label, displayed(values, unit), style, held) for label, values, style in lines]
@@ -104,7 +104,7 @@ def signal_panel(
 
 
 def extent(signals: Sequence[Array]) -> tuple[float, float] | None:
-    """Return the least and largest finite value."""
+    """Return the least and the largest finite value of all signals; None if there is none."""
     finite = np.concatenate([np.zeros(0), *(values[np.isfinite(values)] for values in signals)])
     return (float(finite.min()), float(finite.max())) if finite.size else None
 
@@ -112,9 +112,9 @@ def extent(signals: Sequence[Array]) -> tuple[float, float] | None:
 def by_unit(
     names: Iterable[str], unit: Callable[[str], str], values: Callable[[str], Array]
 ) -> list[tuple[str, list[str]]]:
-    """Return unit and signal names of each panel.
+    """Return (unit, names of its signals) for each panel.
 
-    Signals without a unit share a panel only if each is visible on the common axis.
+    Signals without a unit share a panel only if the range of each is large enough to be visible on the common axis.
     """
     groups: list[tuple[str, list[str]]] = []
     spans: dict[str, tuple[float, float]] = {}
@@ -138,7 +138,7 @@ def by_unit(
 
 
 def held_panels(signals: Mapping[str, Array], units: Mapping[str, str]) -> list[Panel]:
-    """Return panels of signals that hold their values between rows, grouped by unit."""
+    """Return panels of signals whose values are constant between rows, one panel per unit."""
     return [
         signal_panel(", ".join(names), unit, [(n, signals[n], f"s{k}") for k, n in enumerate(names)], held=True)
         for unit, names in by_unit(signals, units.__getitem__, signals.__getitem__)

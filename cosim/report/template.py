@@ -1,4 +1,4 @@
-"""Pages from templates: shared files are in `templates`, a page's own style and script beside its template."""
+"""Pages from templates: shared files are in `templates`, the style and script of one page beside its template."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ NO_OPTIONS: Mapping[str, Iterable[str]] = MappingProxyType({})
 
 @dataclass(frozen=True)
 class Row:
-    """A row of a table: a label, a value, and a note on how the value was measured."""
+    """A row of a table: a label, a value, and a note."""
 
     label: str
     value: str
@@ -43,7 +43,7 @@ def assignments(values: Mapping[str, Any]) -> list[str]:
 
 
 def places(**values: float) -> dict[str, float]:
-    """Return the places [%] of finite values on a ruler; the macro `ruler` draws low, high, neutral, thesis and dot."""
+    """Return the positions [%] of finite values on a ruler (macro `ruler`), from the least to the largest."""
     finite = {name: value for name, value in values.items() if math.isfinite(value)}
     low = min(finite.values(), default=0.0)
     span = max(finite.values(), default=0.0) - low
@@ -61,11 +61,11 @@ def render(
     """Return a self-contained HTML page from a template.
 
     The template may use the shared templates, templates in `folders`, and the functions IN_TEMPLATES. Every `.css` and
-    `.js` in the page's folder is inlined. Lines of a template literal lose their indentation.
+    `.js` in the page's folder is inlined. Indentation is removed from all inlined lines, also in template literals.
 
     Args:
-        charts: All charts of the page, unless `values` has their `data`.
-        is_report: Whether the page draws its charts by itself.
+        charts: All charts of the page, unless `values` contains the chart data under the key `data`.
+        is_report: True for a page that draws all its charts when it opens.
     """
     # Only pages need jinja2: `import cosim.report` must not load it.
     from jinja2 import Environment, FileSystemBytecodeCache, FileSystemLoader, StrictUndefined
@@ -94,6 +94,6 @@ def render(
 
 
 def inline(files: Sequence[Path]) -> str:
-    """Return files' texts without indentation and comment lines."""
+    """Return the texts of files without indentation and comment lines."""
     text = "\n".join(file.read_text(encoding="utf-8") for file in files)
     return re.sub(r"^\s*(?://.*|/\*.*\*/)?\n|^[ \t]+", "", text, flags=re.MULTILINE)

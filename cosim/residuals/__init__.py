@@ -1,1 +1,1 @@
-"""Replays of a log through an FMU, and the comparison of their errors with noise."""
+"""Replays of a log through an FMU, and comparison of their errors with the noise."""

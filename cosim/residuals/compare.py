@@ -1,6 +1,6 @@
 """Comparison of a log with an FMU: free run, windows, statistics, and sentences derived from the numbers.
 
-The noise floor is the error of the model against itself, sampled and disturbed like the log.
+The noise floor is the error of replays of the model's own output, with the sampling and noise of the log.
 """
 
 from __future__ import annotations
@@ -43,21 +43,21 @@ from cosim.residuals.windows import (
     self_started,
 )
 
-WINDOWS, FEWEST_DRAWS, SEED = 40, 2, 1  # least number of windows drawn
-BY_CHANCE = 1e-4  # false alarm probability of a correct model for each channel
-AT_LEAST = 1.5  # least limit relative to the floor, since noise levels are estimates
+WINDOWS, FEWEST_DRAWS, SEED = 40, 2, 1  # windows drawn at least; draws at least; seed
+BY_CHANCE = 1e-4  # probability, for each channel, that a correct model counts as unexplained
+AT_LEAST = 1.5  # smallest limit of the error relative to the noise floor, because noise levels are estimates
 ROUNDING = 1e-9  # share of a channel's size
-STEP = 1e-6  # change of a start value without known noise
-EXACT = 1e-4  # share of a channel's spread; a log without noise is matched to rounding
+STEP = 1e-6  # change of a start value if its noise is unknown
+EXACT = 1e-4  # share of a channel's standard deviation; a log without noise must be matched this closely
 Verdict = Literal["explained", "unexplained", "undecided"]
-FOLLOWS = 2.5  # multiple of the 95 % band, five standard errors: beyond chance despite slow start errors
+FOLLOWS = 2.5  # multiple of the 95 % band (five standard errors) above which a correlation is not by chance
 
 
 class ChannelFloor(NamedTuple):
-    """RMSE of one channel explained by noise, and the limit of a correct model relative to the RMSE.
+    """Noise floor of one channel (RMSE due to noise), and the largest error of a correct model relative to it.
 
     Attributes:
-        astray: RMSE of the model restarted from its own noise-free outputs; 0 at rounding level.
+        astray: RMSE of windows that restart the model from its own outputs without noise; 0 if due to rounding.
     """
 
     rmse: float
@@ -70,15 +70,15 @@ class ChannelSummary:
     """Comparison of one measured channel with the model.
 
     Attributes:
-        measure: Horizon that decides the verdict [s]: that of the windows if available, else FREE_RUN.
+        measure: Horizon [s] that decides the verdict: that of windows if there are any, otherwise FREE_RUN.
         noise: Standard deviation of the measurement noise.
-        floor: Noise floor over the horizon, or over the free run without windows.
-        scores: Horizon → score.
+        floor: Noise floor for this horizon.
+        scores: Horizon → score (RMSE and fit).
         whiteness, inputs: Statistics of the residual over the shortest horizon.
-        lost: Restarts without noise miss by more than the noise floor, due to a state without output.
-        excess: RMSE relative to the noise floor; NaN without a valid floor.
-        is_matched: The error is not above that of noise or rounding.
-        is_explained: The error is matched, and follows no input.
+        lost: True if restarts without noise have an error above the noise floor, due to a state without output.
+        excess: RMSE divided by the noise floor; NaN without a valid floor.
+        is_matched: True if noise or rounding explains the size of the error.
+        is_explained: True if `is_matched`, and the error is not correlated with an input.
     """
 
     name: str
@@ -97,7 +97,7 @@ class ChannelSummary:
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
-    """Result of a replay; `replays` by horizon always includes FREE_RUN."""
+    """Result of a replay. `replays` (horizon → replay) always contains FREE_RUN."""
 
     log: Log
     drive: Drive
@@ -107,13 +107,13 @@ class Comparison:
 
 
 def compare(drive: Drive, free: Replay, findings: Sequence[Finding]) -> Comparison:
-    """Return the complete comparison for a free run, with windows, noise floor and statistics.
+    """Return the comparison of a log with a free run, including windows, noise floor and statistics.
 
     Args:
-        findings: Earlier findings on the log, included in the result.
+        findings: Findings of the log's checks, which are included in the result.
 
     Raises:
-        InputError: The comparison shows a wrong unit.
+        InputError: The comparison shows that a column has a wrong unit.
     """
     log = drive.log
     *_, measure = spans = horizons(log)
@@ -129,7 +129,7 @@ def compare(drive: Drive, free: Replay, findings: Sequence[Finding]) -> Comparis
         decisive = measure if measure in scores else FREE_RUN
         error, lost = scores[decisive], floor.astray > floor.rmse
         excess = error.rmse / floor.rmse if not lost and floor.rmse > 0.0 else math.nan
-        # at rounding level, or without anything to compare
+        # the error is due to rounding, or there is nothing to compare
         exact = error.rows == 0 or error.rmse == 0.0 or error.fit > 100.0 * (1.0 - EXACT)
         matched = not lost and (exact or excess < floor.limit)
         explained = matched and (exact or not any(u.strength > FOLLOWS for u in inputs[:1]))
@@ -156,7 +156,7 @@ def steps_of(log: Log) -> int:
 def as_json(comparison: Comparison) -> list[dict[str, Any]]:
     """Return RMSE, fit [%], rows and noise floor of each channel and horizon.
 
-    Infinite values are None; `horizon` [s] is that of the verdict, None for the free run.
+    Infinite values are None; `horizon` [s] is the horizon that decides the verdict, None for the free run.
     """
     channels = []
     for c in comparison.channels:
@@ -181,7 +181,7 @@ def as_json(comparison: Comparison) -> list[dict[str, Any]]:
 
 
 def draws(log: Log, horizon: float) -> int:
-    """Return the number of random draws that estimate the noise floor of a log; few windows need more draws."""
+    """Return the number of random draws for the noise floor of a log; with few windows, more draws are needed."""
     runs = [] if horizon == FREE_RUN else chains(log, horizon)
     count = sum(sum(row >= begin for row in rows[:-1]) for rows, begin in runs)
     return max(FEWEST_DRAWS, math.ceil(WINDOWS / max(1, count)))
@@ -190,8 +190,8 @@ def draws(log: Log, horizon: float) -> int:
 def floors(drive: Drive, free: Replay, measured: Replay) -> dict[str, ChannelFloor]:
     """Return channel → noise floor over the horizon of `measured`.
 
-    The model is replayed against its free run, with the noise and gaps of the log, and with gaps only. An error without
-    noise comes from a state that no output shows.
+    The free run serves as a log: once with the noise and gaps of the log, once with gaps only. An error without noise
+    is due to a state that no output shows.
     """
     log, horizon = drive.log, measured.horizon
     sampled = {n: np.where(np.isfinite(v), free.outputs[n], np.nan) for n, v in log.outputs.items()}
@@ -205,7 +205,7 @@ def floors(drive: Drive, free: Replay, measured: Replay) -> dict[str, ChannelFlo
         if horizon != FREE_RUN:
             replayed = self_started(other, free, horizon)
             return {} if replayed is None else replayed.outputs
-        if not free.parameters.keys() & readings.keys():  # a start without measurement is unchanged
+        if not free.parameters.keys() & readings.keys():  # a start without measurements is unchanged
             return free.outputs
         if linear is not None:
             other.run = linear  # type: ignore[method-assign, assignment]
@@ -237,9 +237,10 @@ def floors(drive: Drive, free: Replay, measured: Replay) -> dict[str, ChannelFlo
 def _linear_run(
     drive: Drive, free: Replay, levels: NamedValues
 ) -> Callable[[int, int, Mapping[str, Any]], Array] | None:
-    """Return a run of the FMU's linearization about the free run, with respect to the start values, to save FMU runs.
+    """Return a linear approximation of FMU runs around the free run, as a function of start values.
 
-    Each start value needs one FMU run, instead of five runs per draw. The result is None if a run fails.
+    The approximation needs one FMU run per start value, instead of five runs per draw. The result is None if a run
+    fails.
     """
     table = np.column_stack([free.outputs[name] for name in drive.outputs])
     start = free.starts[0]
@@ -264,7 +265,7 @@ def _linear_run(
 
 
 def _limit(squares: Array, count: int) -> float:
-    """Return the largest error of a correct model relative to the floor, at probability BY_CHANCE.
+    """Return the error, relative to the noise floor, that a correct model exceeds with probability BY_CHANCE.
 
     A sum of squares follows χ² with 2·mean²/variance degrees of freedom per window (Satterthwaite 1946), and the ratio
     follows Fisher's F. `count` is the number of draws.
@@ -287,14 +288,14 @@ def horizon_name(horizon: float | None) -> str:
 
 
 def verdict(comparison: Comparison) -> Verdict:
-    """Return the verdict: an unexplained channel decides, then one that the windows do not measure."""
+    """Return the verdict: unexplained if any channel is unexplained, else undecided if windows do not measure one."""
     if any(not (c.is_explained or c.lost) for c in comparison.channels):
         return "unexplained"
     return "undecided" if any(c.lost for c in comparison.channels) else "explained"
 
 
 def worst_first(channels: Sequence[ChannelSummary]) -> list[ChannelSummary]:
-    """Return the unexplained channels, then the others, each with the largest error relative to its floor first."""
+    """Return the unexplained channels, then the others, both sorted by error relative to the noise floor."""
 
     def rank(c: ChannelSummary) -> tuple[bool, bool, bool, float]:
         excess = c.excess if math.isfinite(c.excess) else 0.0 if c.is_matched else math.inf  # above a floor of 0
@@ -304,7 +305,7 @@ def worst_first(channels: Sequence[ChannelSummary]) -> list[ChannelSummary]:
 
 
 def sentence(comparison: Comparison) -> str:
-    """Return the verdict in words: the worst channel, what its residual follows, and the probable cause."""
+    """Return the verdict as a sentence: worst channel, inputs correlated with its residual, and probable cause."""
     channels = worst_first([c for c in comparison.channels if c.scores[c.measure].rows] or comparison.channels)
     worst, lost, answer = channels[0], [c for c in channels if c.lost], verdict(comparison)
     seconds = plain(float(comparison.log.time[-1] - comparison.log.time[0]))

@@ -1,4 +1,4 @@
-"""Drive: simulation of one FMU instance along a log with the recorded commands, here or in a worker process."""
+"""Simulation of an FMU with the recorded commands of a log, in this process or in a worker process."""
 
 from __future__ import annotations
 
@@ -41,18 +41,18 @@ PLANT = "plant"  # component name in results and messages
 MODULES = ("cosim.residuals.drive", "fmpy.fmi2", "fmpy.logging")
 PROGRESS_EVERY = 500
 SWITCHES = {"true": True, "on": True, "1": True, "false": False, "off": False, "0": False}
-COARSE = 1e3  # times the tolerance of times, for logs whose times are printed
-PER_ROW = 8  # steps between rows for interpolated inputs, each held at its midpoint
+COARSE = 1e3  # factor on the tolerance of times, because times in logs are rounded by printing
+PER_ROW = 8  # steps between rows for interpolated inputs, which are held at their midpoint in each step
 
 
 class DriveSteps(NamedTuple):
-    """Steps of an FMU along a stretch of a log.
+    """Steps of an FMU between two rows of a log.
 
     Attributes:
         times, lengths: Start and length of each step [s].
-        rows: Row of the command of each step.
+        rows: Row whose command acts in each step.
         reads: True for each step after which the outputs are read.
-        reached: Times of output readings, start included [s].
+        reached: Times at which outputs are read [s], including the start.
     """
 
     times: Array
@@ -63,16 +63,16 @@ class DriveSteps(NamedTuple):
 
 
 def model_signals(fmu: Path) -> tuple[Sequence[Signal], Sequence[Signal]]:
-    """Return the real inputs and outputs of an FMU, the signals of its logs."""
+    """Return the real inputs and outputs of an FMU, which are the signals of its logs."""
     block = FmuBlock(PLANT, fmu, read_description(fmu), {}, frozenset())
     return block.inputs, block.outputs
 
 
 def check_files(log: Path, fmu: Path | None) -> None:
-    """Check the kinds of log and FMU.
+    """Check that two paths are a log and an FMU.
 
     Raises:
-        InputError: A file is of another kind, or both files have faults.
+        InputError: A file is of another kind, or faults concern both files.
     """
     faults: list[Fault] = []
     for path, kind in ((log, LOG), *([(fmu, FMU)] if fmu else [])):
@@ -92,10 +92,10 @@ def log_of_fmu(path: Path, fmu: Path, columns: Mapping[str, str] = MappingProxyT
 
     Args:
         columns: Name in the log → name in the FMU, if different.
-        alone: True if `columns` applies to this log alone, so that a missing column is a fault.
+        alone: True if `columns` is for this log only, so that a missing column is a fault.
 
     Raises:
-        InputError: Every fault of the log.
+        InputError: The log has faults, all of which the error names.
         FmuError: Only the FMU has faults.
     """
     check_files(path, fmu)
@@ -104,17 +104,17 @@ def log_of_fmu(path: Path, fmu: Path, columns: Mapping[str, str] = MappingProxyT
 
 
 class Drive:
-    """Replay of a log through one FMU, as a context: the FMU is loaded at the first run and freed at the end.
+    """Replays of a log through an FMU, as a context manager: the FMU is loaded at the first run and freed at the end.
 
     Args:
-        progress: Function of the number of finished steps.
-        interpolated: Inputs interpolated between rows; others are held.
-        given: Start values of every run, unless the run states others.
+        progress: Function that is called with the number of finished steps.
+        interpolated: Inputs that are interpolated between rows; other inputs are held.
+        given: Start values for all runs, unless a run sets other values.
 
     Attributes:
-        starts: Start values of the real inputs with one.
+        starts: Declared start values of the real inputs.
         frame: Signal names of a planar motion that the FMU declares.
-        left: Finished outputs of a run that failed or was interrupted; None otherwise.
+        left: Outputs up to the failure or interruption of a run; None otherwise.
     """
 
     left: Array | None = None
@@ -152,15 +152,15 @@ class Drive:
         step = description.defaultExperiment and description.defaultExperiment.stepSize
         self.rate = float(step) if step else None  # default step size [s]
         self.variable_step = takes_any_step(description)
-        about = description.coSimulation  # None for an FMU of model exchange only
+        about = description.coSimulation  # None for an FMU that has only model exchange
         flags = about and about.canGetAndSetFMUstate and about.canSerializeFMUstate
-        self.has_readable_state = bool(self.traits and flags and self.variable_step)  # of a cosim FMU, and restored
+        self.has_readable_state = bool(self.traits and flags and self.variable_step)  # if built by cosim
         self._table = np.column_stack([log.inputs[name] for name in self.inputs]) if self.inputs else np.empty((0, 0))
         self._commands = self._table.tolist()
         self._ramps = np.array([name in interpolated for name in self.inputs], bool)
         self._row = (ctypes.c_double * (len(self.block.inputs) + len(self.outputs)))()
         self.block.bind(self._row, 0)
-        self._driven = [0]  # steps so far, shared by copies
+        self._driven = [0]  # number of steps so far, shared by copies
         self._new_rows: Callable[[int, int], SharedRows] = SharedRows.in_memory
 
     def __enter__(self) -> Self:
@@ -175,32 +175,32 @@ class Drive:
         return {s.name: s.unit for s in self.block.outputs}
 
     def with_values(self, values: Mapping[str, Any]) -> Self:
-        """Return a drive of the same loaded FMU that sets further values in every run."""
+        """Return a drive of the same loaded FMU that sets further values in all runs."""
         other = copy.copy(self)
         other.given = {**self.given, **values}
         return other
 
     def answer(self, method: str, given: Mapping[str, Any], *arguments: Any) -> Any:
-        """Return the result of a method with other values of every run, for a drive in another process."""
+        """Return the result of a method, called with other start values, for a drive in another process."""
         self.given = dict(given)
         return getattr(self, method)(*arguments)
 
     def initial(self, start: Mapping[str, Any], row: int) -> dict[str, float]:
-        """Return the initial outputs at a row."""
+        """Return the outputs after initialization with start values at a row."""
         self._begin(start, row, float(self.log.time[-1]))
         self.block.start()
         self.block.get()
         return dict(zip(self.outputs, self._row[len(self.block.inputs) :], strict=True))
 
     def own(self, start: Mapping[str, Any]) -> Own:
-        """Return the initial state of a cosim FMU; the state is restored once to check that the FMU supports this."""
+        """Return the initial state of an FMU built by cosim; check once that this state can be restored."""
         self._begin(start, 0, float(self.log.time[-1]))
         self.block.start()
         self.block.remember({})
         return self.block.own()
 
     def state(self) -> Own:
-        """Return the current state of a cosim FMU, at the end of the last run."""
+        """Return the state of an FMU built by cosim at the end of the last run."""
         return self.block.own()
 
     def run(self, first: int, last: int, start: Mapping[str, Any], memory: Memory | None = None) -> Array:
@@ -215,15 +215,15 @@ class Drive:
         rows: Container[int],
         memory: Memory | None = None,
     ) -> tuple[Array, dict[int, Own]]:
-        """Simulate the FMU; return its outputs, and the complete states of a cosim FMU at the rows in `rows`.
+        """Simulate the FMU; return outputs and, for an FMU built by cosim, complete states at the rows in `rows`.
 
-        The command of row k is held from t_k to t_k+1. The outputs of row k are those to its command.
+        The command of row k is held from t_k to t_k+1. The outputs of row k are computed with the command of row k.
 
         Args:
-            memory: State of a cosim FMU at the first row, instead of the state after initialization.
+            memory: State at the first row, for an FMU built by cosim; by default the state after initialization.
 
         Raises:
-            SimulationError: The FMU fails; the finished rows are in `left`.
+            SimulationError: The FMU fails; `left` contains the outputs so far.
         """
         steps, states, self.left = self._steps(first, last), dict[int, Own](), None
         written = self._new_rows(len(steps.reached), len(self.outputs))
@@ -232,7 +232,7 @@ class Drive:
         there, block, acting, whole = table.ctypes.data, self.block, first, 0
         reached, width = steps.reached, len(self.inputs)
         close = roundings(reached, COARSE * self.log.step)
-        following = np.searchsorted(self.log.time, reached + close, side="right") - 1  # row that acts at each reading
+        following = np.searchsorted(self.log.time, reached + close, side="right") - 1  # row of the command
         commands = [self._commands[k] for k in following.tolist()] if self._commands else []
         times, lengths, number, reading = (part.tolist() for part in steps[:4])
         each = zip(times, lengths, number, self._puts(steps, first), reading, strict=True)
@@ -240,7 +240,7 @@ class Drive:
             doing[0] = OTHER
             self._begin(start, first, max(float(self.log.time[last]), float(reached[-1])))
             block.start()
-            block.get()  # First call for FMI 1.0; some FMUs return correct outputs only from here.
+            block.get()  # needed by FMI 1.0; some FMUs return correct outputs only after this call
             if memory:
                 block.remember(memory)
             ctypes.memmove(there, here, size)
@@ -284,7 +284,7 @@ class Drive:
         self.block.get()
 
     def _count(self, steps: DriveSteps) -> None:
-        """Add finished steps and report progress."""
+        """Count finished steps, and report progress."""
         self._driven[0] += len(steps.times)
         if self.progress is not None:
             self.progress(self._driven[0])
@@ -292,8 +292,8 @@ class Drive:
     def _steps(self, first: int, last: int) -> DriveSteps:
         """Return the steps between two rows of the log.
 
-        An FMU with variable step follows the logged times, with several steps over a gap. Another FMU takes equal steps
-        of the log's median.
+        An FMU with variable step size is stepped from row to row, with several steps over a gap. Another FMU is stepped
+        by the log's median step.
         """
         time, step = self.log.time[first : last + 1], self.log.step
         if self.variable_step:
@@ -315,9 +315,9 @@ class Drive:
         return DriveSteps(times, lengths, rows, reads, np.append(time[0], (times + lengths)[reads]))
 
     def _puts(self, steps: DriveSteps, first: int) -> list[Any]:
-        """Return the command before each step, None if unchanged.
+        """Return the command to set before each step; None if it is unchanged.
 
-        An interpolated input takes its value at the midpoint of the step.
+        An interpolated input has its value at the midpoint of the step.
         """
         k, time = steps.rows, self.log.time
         if not self._commands:
@@ -349,7 +349,7 @@ def rows_of(log: Log, first: int, seconds: float) -> int:
 
 
 def coarse_rounding(log: Log) -> float:
-    """Return the difference [s] within which times of a log are equal, which may be printed."""
+    """Return the tolerance [s] within which times of a log, which may be rounded by printing, are equal."""
     return rounding(float(log.time[-1]), COARSE * log.step)
 
 
@@ -359,13 +359,13 @@ def as_columns(table: Array, names: Sequence[str]) -> dict[str, Array]:
 
 
 def start_values(fmu: Path, texts: Sequence[str], fault: Callable[[str, str], Fault] | None = None) -> dict[str, Any]:
-    """Return values for texts such as `angle=12 deg`.
+    """Return start values from texts such as `angle=12 deg`.
 
     Args:
-        fault: Function of (name, message) that adds the place; by default the option --start.
+        fault: Function of (name, message) that returns a fault; by default a fault of the option --start.
 
     Raises:
-        InputError: Every invalid text.
+        InputError: Texts are invalid; the error names all of them.
     """
     if not texts:
         return {}
@@ -396,7 +396,7 @@ def start_values(fmu: Path, texts: Sequence[str], fault: Callable[[str, str], Fa
 
 
 def hosted_drive(log: Log, fmu: Path, interpolated: frozenset[str], table: Path) -> Drive:
-    """Return a drive in the worker that writes its rows into a file; its FMU is loaded at the first run."""
+    """Return a drive, in the worker process, that writes its rows into a file."""
     claim(fmu)
     drive, progress = Drive(log, fmu, interpolated=interpolated), here.progress
     here.share_log(drive.block)
@@ -407,12 +407,12 @@ def hosted_drive(log: Log, fmu: Path, interpolated: frozenset[str], table: Path)
 
 
 def _there(method: str) -> Any:
-    """Return a method that is called in the worker."""
+    """Return a method that calls the method of this name in the worker."""
     return lambda self, *arguments: self._ask(method, *arguments)
 
 
 class DriveApart(Drive):
-    """Drive whose FMU runs in a worker process, and is reloaded there after a crash."""
+    """A drive whose FMU runs in a worker process, which loads it again after a crash."""
 
     initial, own, state = map(_there, ("initial", "own", "state"))
 
@@ -428,7 +428,7 @@ class DriveApart(Drive):
         given: Mapping[str, Any] = MappingProxyType({}),
     ) -> None:
         super().__init__(log, fmu, progress, interpolated, given)
-        self._worker, self._limits, self._full = worker, limits or Limits(), log  # base of copies with other readings
+        self._worker, self._limits, self._full = worker, limits or Limits(), log  # basis of copies with other readings
         self._most = max(len(self._steps(0, log.rows - 1).times), log.rows) + 2  # largest number of rows of a run
 
     def __enter__(self) -> Self:
@@ -454,7 +454,7 @@ class DriveApart(Drive):
         rows: Container[int],
         memory: Memory | None = None,
     ) -> tuple[Array, dict[int, Own]]:
-        """Run the FMU as `Drive.run_and_keep`, also with the rows before an interrupt in `left`."""
+        """Run the FMU as `Drive.run_and_keep`; after an interruption, `left` contains the rows so far."""
         steps = self._steps(first, last)
         self.left = None
         try:
@@ -468,7 +468,7 @@ class DriveApart(Drive):
         return answer
 
     def _ask(self, method: str, *arguments: Any, times: Any = ()) -> Any:
-        """Call a method in the worker; `times` are the times of the rows that the call computes."""
+        """Call a method in the worker; `times` are the times [s] of the rows that the call computes."""
         if not self._remote.is_made:
             self._worker.start()
             self._worker.take_along(self._file.parent)
@@ -491,5 +491,5 @@ class DriveApart(Drive):
 
 
 def drive_in(worker: Worker | None, log: Log, fmu: Path, *, limits: Limits | None = None, **options: Any) -> Drive:
-    """Return a drive whose FMU runs in a worker process, if any; further options are those of `Drive`."""
+    """Return a drive whose FMU runs in a worker process, if there is one; other options are those of `Drive`."""
     return Drive(log, fmu, **options) if worker is None else DriveApart(worker, log, fmu, limits=limits, **options)

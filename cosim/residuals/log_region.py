@@ -1,4 +1,4 @@
-"""The logs behind an FMU, for its record of credibility: provenance, and the region that they cover."""
+"""The record of credibility of an FMU: provenance of its logs, and the region that they cover."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from cosim.logs.log import Log
 from cosim.residuals.drive import Drive
 from cosim.residuals.windows import Replay, start_parameters
 
-MOST_ROWS = 400  # of the runs that show on which levels nothing depends
-EQUAL = 1e-6  # of a difference, relative to its size
+MOST_ROWS = 400  # rows of the runs that test for outputs on whose level nothing depends
+EQUAL = 1e-6  # relative difference up to which values are equal
 
 ReplayedLog = tuple[Log, Replay]
 
 
 def log_records(logs: Sequence[Log]) -> list[LogRecord]:
-    """Return the records of logs."""
+    """Return the record of each log: file, hash, duration and so on."""
     found = []
     for log in logs:
         written = datetime.fromtimestamp(int(log.path.stat().st_mtime), UTC).isoformat()
@@ -41,7 +41,7 @@ def region_of_logs(drive: Drive, replayed: Sequence[ReplayedLog]) -> Region:
 
     Args:
         drive: Drive of the FMU along one of the logs.
-        replayed: Logs with replays that stay near the measurements, whose outputs have no noise.
+        replayed: Logs with replays near the measurements; replayed outputs have no noise.
     """
     units = {s.name: s.unit for s in (*drive.block.inputs, *drive.block.outputs)}
     stretches = [_stretch(drive, log, replay) for log, replay in replayed]
@@ -50,7 +50,7 @@ def region_of_logs(drive: Drive, replayed: Sequence[ReplayedLog]) -> Region:
 
 
 def rows_inside(region: Region, drive: Drive, replayed: Sequence[ReplayedLog]) -> list[Flags]:
-    """Return the rows of each log that lie in a region; all rows without a region."""
+    """Return for each log True for rows in the region; all rows if there is no region."""
     found = []
     for log, replay in replayed:
         rows = np.ones(log.rows, bool)
@@ -62,7 +62,7 @@ def rows_inside(region: Region, drive: Drive, replayed: Sequence[ReplayedLog]) -
 
 
 def signals_along(drive: Drive, log: Log, replay: Replay) -> dict[str, Array]:
-    """Return the inputs of a log, inputs that keep their start value, and the replayed outputs, shape (rows,)."""
+    """Return name → values, shape (rows,), of a log's inputs, constant inputs, and replayed outputs."""
     declared = {v.name: v.start for v in drive.description.modelVariables}
     held = {n: np.full(log.rows, float(drive.given.get(n, declared.get(n)) or 0.0)) for n in drive.free_inputs}
     return {**held, **log.inputs, **replay.outputs}
@@ -73,7 +73,7 @@ def _stretch(drive: Drive, log: Log, replay: Replay) -> Stretch:
 
 
 def _free_levels(drive: Drive) -> set[str]:
-    """Return the outputs on whose level nothing depends: another start value shifts them, and changes nothing else."""
+    """Return outputs on whose level nothing depends: another start value shifts them and has no other effect."""
     found = set[str]()
     last = min(drive.log.rows - 1, MOST_ROWS)
     try:

@@ -1,4 +1,4 @@
-"""Result of `replay` in Python."""
+"""Result of `cosim.replay` in Python."""
 
 from __future__ import annotations
 
@@ -15,10 +15,11 @@ from cosim.simulation.run_signals import Signals
 
 @dataclass(frozen=True, repr=False)
 class Replay(Signals):
-    """Signals of an FMU and a log, and `residual` for each horizon.
+    """Signals of an FMU and a log, and the residual for each horizon in `residual`.
 
     Attributes:
-        validity: Validity of the free run in the region of the FMU's logs, empty for an FMU without a record of them.
+        validity: Validity of the free run in the region of the FMU's logs; empty for an FMU without a record of
+            credibility.
         comparison: Errors of each channel; None if the result was read from a folder.
     """
 
@@ -33,7 +34,7 @@ class Replay(Signals):
 
 
 def read_replay(folder: Path, *, kept: bool = True) -> Replay | None:
-    """Return the replay in a folder, or None.
+    """Return the replay in a folder; None if there is none.
 
     Args:
         kept: True if the folder is permanent.

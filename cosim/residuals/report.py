@@ -20,17 +20,17 @@ from cosim.residuals.residual_statistics import FREE_RUN, Whiteness
 from cosim.residuals.windows import SKIPPED, horizons
 
 TEMPLATE = Path(__file__).with_name("templates") / "replay.html.j2"
-STEMS = 100  # about, lags of an autocorrelation
+STEMS = 100  # approximate number of drawn lags of an autocorrelation
 TONES: Mapping[str, str] = {"explained": "good", "unexplained": "bad", "undecided": "warn"}
 
 
 def page(comparison: Comparison, study: Path, validity: Validity, *, passing: bool = False) -> str:
-    """Return the self-contained page.
+    """Return the self-contained HTML page of a replay.
 
     Args:
-        study: Study for the next step, if it was written.
-        validity: Validity of the free run in the region of the FMU's logs, empty without one.
-        passing: True if the FMU was built for this replay only.
+        study: Path of the study that was written for `cosim fit` or `refine`, if any.
+        validity: Validity of the free run in the region of the FMU's logs; empty without a record of credibility.
+        passing: True if the FMU was built for this replay and is not kept.
     """
     log, drive, replays = comparison.log, comparison.drive, comparison.replays
     channels, measure, about = worst_first(comparison.channels), horizons(log)[-1], drive.description
@@ -97,7 +97,7 @@ def page(comparison: Comparison, study: Path, validity: Validity, *, passing: bo
 
 
 def _scores(horizon: float) -> tuple[Callable[[ChannelSummary], str], Callable[[ChannelSummary], str]]:
-    """Return functions that show error and fit of a channel over a horizon."""
+    """Return two functions of a channel that give the texts of its error and its fit over a horizon."""
 
     def fit(c: ChannelSummary) -> str:
         share = c.scores[horizon].fit
@@ -107,7 +107,7 @@ def _scores(horizon: float) -> tuple[Callable[[ChannelSummary], str], Callable[[
 
 
 def neighbours(test: Whiteness) -> str:
-    """Return the autocorrelation of neighbouring rows as text."""
+    """Return the autocorrelation at lag 1 as text."""
     return plain(float(test.rho[1]), 2) if test.rho.size > 1 else MISSING
 
 
@@ -120,7 +120,7 @@ def _residual_panel(comparison: Comparison, c: ChannelSummary) -> Panel:
 
 
 def _autocorrelation(comparison: Comparison, charts: Charts) -> list[Plot]:
-    """Draw autocorrelations, of equally many lags for all channels."""
+    """Draw the autocorrelations of all channels, with the same number of lags."""
     channels = worst_first(comparison.channels)
     size = channels[0].whiteness.rho.size
     apart, panels = max(1, size // STEMS), []

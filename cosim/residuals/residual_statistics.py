@@ -14,15 +14,15 @@ import numpy as np
 from cosim.core.arrays import Array, NamedArrays, Rows, centre, correlation
 from cosim.logs.log import NORMAL_95, slowness
 
-FREE_RUN = math.inf  # as a horizon [s]
+FREE_RUN = math.inf  # horizon [s] that means a free run
 LJUNG_BOX_LAGS = 20
-COUNTS_FROM = 2.0  # multiple of the noise floor from which an error has an excess to reduce
-STANDS_OUT = 2.0  # multiple of the 95 % band: four standard errors, by chance once in 10⁴ lags
+COUNTS_FROM = 2.0  # multiple of the noise floor above which an error has an excess that can be reduced
+STANDS_OUT = 2.0  # multiple of the 95 % band (four standard errors, by chance once in 10⁴ lags) for a clear correlation
 
 
 @dataclass(frozen=True)
 class Score:
-    """Accuracy of a channel's prediction.
+    """Accuracy of the model's prediction of a channel.
 
     Attributes:
         rmse: Root mean square of measured − model, in the channel's unit.
@@ -51,13 +51,13 @@ class Whiteness:
 
 @dataclass(frozen=True, eq=False)
 class InputCorrelation:
-    """Correlation of the residual with an input `lags` rows earlier; negative lags show feedback.
+    """Correlation of the residual with an input `lags` rows earlier; a correlation at negative lags indicates feedback.
 
     Attributes:
-        peak: Index of the largest causal |ρ|, at a positive lag.
-        strength: That |ρ| relative to the band.
-        ahead: Whether it clearly exceeds those at zero and negative lags.
-        stands_out: Whether it is too strong to be due to chance.
+        peak: Index of the largest |ρ| at a positive lag.
+        strength: |ρ| at `peak`, relative to the 95 % band.
+        ahead: True if |ρ| at `peak` clearly exceeds |ρ| at zero and negative lags.
+        stands_out: True if |ρ| at `peak` is too large to be due to chance.
     """
 
     name: str
@@ -71,14 +71,14 @@ class InputCorrelation:
 
 
 def rmse(*errors: Array) -> float:
-    """Return the pooled RMSE of finite values."""
+    """Return the RMSE of the finite values in all arrays together."""
     finite = np.concatenate([e[np.isfinite(e)] for e in errors]) if errors else np.zeros(0)
-    with np.errstate(over="ignore"):  # A diverging model overflows.
+    with np.errstate(over="ignore"):  # a diverging model may overflow
         return math.sqrt(float(np.mean(finite * finite))) if finite.size else math.nan
 
 
 def remaining_excess(before: float, after: float, floor: float) -> float:
-    """Return the share of mean square error above the floor that remains; NaN if `before` is not clearly above."""
+    """Return (after² − floor²)/(before² − floor²); NaN if `before` does not clearly exceed the floor."""
     if not before > COUNTS_FROM * floor:
         return math.nan
     return (after * after - floor * floor) / (before * before - floor * floor)
@@ -119,7 +119,7 @@ def whiteness(residual: Array, lags: int) -> Whiteness:
 
 
 def input_correlations(residual: Array, inputs: NamedArrays, lags: int) -> tuple[InputCorrelation, ...]:
-    """Return the correlation of the residual with each changing input, strongest first.
+    """Return the correlation of the residual with each changing input, the strongest first.
 
     The band is Bartlett's, 1.96·√(Σ_k ρ_r(k)·ρ_u(k) / n), because slow signals correlate by chance.
     """
@@ -144,7 +144,7 @@ def input_correlations(residual: Array, inputs: NamedArrays, lags: int) -> tuple
 
 
 def lags_of(rows: int, step: float, seconds: float = 1.0) -> int:
-    """Return the number of lags [rows] within `seconds`, longer in a slow log, at most a quarter of the rows."""
+    """Return the number of lags within `seconds`; more time for a slow log, at most a quarter of the rows."""
     return max(1, min(round(seconds * slowness(step) / step), rows // 4))
 
 
@@ -158,5 +158,5 @@ def pool_errors(errors: Iterable[NamedArrays]) -> dict[str, float]:
 
 
 def finite(value: float) -> float | None:
-    """Return a number, None for infinity and NaN."""
+    """Return a number unchanged; None for infinity and NaN."""
     return float(value) if math.isfinite(value) else None

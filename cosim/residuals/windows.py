@@ -1,13 +1,13 @@
 """Replays of recorded commands through an FMU, as a free run or in windows.
 
-A long free run is no useful measure for a model with integrating states. A window starts at row k, at time t_k, from a
-state estimated from past data, and lasts one horizon.
+For a model with integrating states, a long free run does not measure its quality. A window is a short replay: it starts
+at a row from a state estimated from past data, and lasts one horizon.
 
-The start state is estimated for any FMU with start parameters. The FMU provides fast motion, the measurements the slow
-part: over the last PAST seconds the difference measured − carrier is fitted by a parabola in time, whose end corrects
-the carrier's state. The carrier is the previous window, because even a correct model drifts over a whole log. Angle and
-rate share one parabola, weighted by their noise. Unmeasured states come from the carrier, including states without an
-output if the FMU is a cosim FMU with readable state.
+The start state is estimated for any FMU with start parameters. Its basis is the state of a carrier, which is the
+previous window (not the free run, because even a correct model drifts over a whole log). Over the last PAST seconds, a
+parabola in time is fitted to measured − carrier, and its end corrects the carrier's state. An angle and its rate share
+one parabola, weighted by their noise. Unmeasured states are those of the carrier. For FMUs built by cosim whose state
+can be read, this includes states without an output.
 """
 
 from __future__ import annotations
@@ -32,18 +32,18 @@ from cosim.model.traits import rate_of
 from cosim.residuals.drive import Drive, as_columns, coarse_rounding, rows_of
 from cosim.residuals.residual_statistics import FREE_RUN
 
-SKIPPED = 2.0  # [s] at the start of a log, in which a filter settles
-HORIZONS = (0.5, 2.0)  # [s], the second one is decisive
-PAST = 0.5  # [s] before a window
-FIRST = 1.0  # [s] after the start of the log, without a past
-REACHES = (1.0, 0.5, 0.25, 0.12)  # shares of that time; the longest valid one is used
-FITS = 2.5  # multiple of the noise variance; exceeded by noise once in 10⁴ for half a second at 50 Hz
-FEWEST = 6  # samples of a parabola
-LEAST = 4  # samples of a channel; slow sensors use a longer time
-PASSES = 4  # passes over the first second
-OLDEST = 2.0  # [s] oldest useful sample, even of a slow sensor
+SKIPPED = 2.0  # [s] at the start of a log, in which a filter settles and which windows skip
+HORIZONS = (0.5, 2.0)  # [s] horizons of windows; the last one decides the verdict
+PAST = 0.5  # [s] of measurements before a window that determine its start
+FIRST = 1.0  # [s] at the start of the log, which has no past, that determine the first start
+REACHES = (1.0, 0.5, 0.25, 0.12)  # shares of that time; the longest one that a parabola fits is used
+FITS = 2.5  # limit of the fit's variance relative to the noise; noise exceeds it once in 10⁴ for 0.5 s at 50 Hz
+FEWEST = 6  # samples needed for a parabola
+LEAST = 4  # samples needed of a channel; for slow sensors, a longer time is used
+PASSES = 4  # iterations for the start over the first second
+OLDEST = 2.0  # [s] age of the oldest sample that is used, even of a slow sensor
 REALS = {"Real", "Float64"}
-Error = tuple[Array, float, bool]  # measured − carrier, its noise, True for the rate
+Error = tuple[Array, float, bool]  # measured − carrier, its noise, and True for a rate
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,11 +51,11 @@ class Replay:
     """Outputs of an FMU at the rows of a log.
 
     Attributes:
-        horizon: Length of each run [s], FREE_RUN for one run over the whole log.
-        starts: First row of each run → start values.
+        horizon: Length of each replay [s]; FREE_RUN for one replay of the whole log.
+        starts: First row of each replay → start values.
         outputs: Name → (rows,), NaN without a prediction.
-        states: Possible first row of a chain of windows → state of a cosim FMU.
-        parameters: Output → start parameter, of the FMU of a free run.
+        states: Possible first row of a chain of windows → state, for an FMU built by cosim.
+        parameters: Output → start parameter of the FMU; only in a free run.
     """
 
     horizon: float
@@ -65,12 +65,12 @@ class Replay:
     parameters: Mapping[str, StartParameter] = field(default_factory=dict)
 
     def errors(self, log: Log) -> dict[str, Array]:
-        """Return channel → measured − model, NaN if incomplete."""
+        """Return channel → measured − model, NaN where one of them is missing."""
         return {name: values - self.outputs[name] for name, values in log.outputs.items()}
 
 
 def free_run(drive: Drive, parameters: Mapping[str, StartParameter] | None = None) -> Replay:
-    """Return the whole log as one run, from the start values of its first measurements."""
+    """Return a replay of the whole log, started from values that fit its first measurements."""
     parameters = start_parameters(drive) if parameters is None else parameters
     log, chosen = drive.log, first_start(drive, parameters)
     rows = {chain[0] for span in horizons(log) for chain, _ in chains(log, span)} if readable(parameters) else set()
@@ -84,13 +84,13 @@ def windows(
     horizon: float,
     memories: Mapping[int, Memory] = MappingProxyType({}),
 ) -> Replay:
-    """Return runs of `horizon` seconds from the given starts.
+    """Return replays of `horizon` seconds from the given starts.
 
-    A row belongs to the run that ends there; a run does not predict its start row.
+    A start row is predicted by the previous replay, not by the one that starts there.
 
     Args:
         starts: First row → start values.
-        memories: First row → state of a cosim FMU, for states that `starts` does not set.
+        memories: First row → state of an FMU built by cosim, for states that `starts` does not set.
     """
     table = np.full((drive.log.rows, len(drive.outputs)), np.nan)
     for first in sorted(starts):
@@ -101,10 +101,10 @@ def windows(
 
 
 def self_started(drive: Drive, free: Replay, horizon: float) -> Replay | None:
-    """Return consecutive windows started from measurements.
+    """Return consecutive windows whose starts are estimated from measurements.
 
-    The free run provides the start of each chain. An output first measured later is predicted from then on. The result
-    is None if the FMU or the log allows no windows.
+    Each chain of windows starts from the free run. An output whose first measurement is later is predicted from then
+    on. The result is None if the FMU or the log does not allow windows.
     """
     log, runs, parameters = drive.log, chains(drive.log, horizon), free.parameters
     if not runs or not parameters.keys() & log.outputs.keys():
@@ -114,15 +114,15 @@ def self_started(drive: Drive, free: Replay, horizon: float) -> Replay | None:
     for rows, begin in runs:
         own, carrier, since = free.states.get(rows[0]), free.outputs, 0
         for first, last in pairwise(rows):
-            # from the carrier, valid from row `since`, and from past measurements
+            # from the carrier, which is valid from row `since`, and from past measurements
             state = {name: float(carrier[name][first]) for name in parameters}
             oldest = int(np.searchsorted(log.time, log.time[first] - OLDEST * log.slowness))
             past = np.arange(max(since, oldest), first + 1)
             corrected = _corrections(drive, carrier, sigma, state, first, past)
-            # of an FMU whose state can be read, that of the carrier provides all that is not corrected
+            # if the FMU's state can be read, uncorrected states are those of the carrier
             start = _values_for(parameters, corrected if readable(parameters) else state | corrected)
             memory = None
-            if own is not None:  # what the start values do not set
+            if own is not None:  # state that the start values do not set
                 started = {(STATE, k) for p in parameters.values() if p.name in start for k in p.places}
                 whole = {(part, k): value for part in (STATE, MEMORY) for k, value in enumerate(own[part])}
                 memory = {place: value for place, value in whole.items() if place not in started}
@@ -132,7 +132,7 @@ def self_started(drive: Drive, free: Replay, horizon: float) -> Replay | None:
                 starts[first] = start
                 table[first + 1 : last + 1] = carried[first + 1 : last + 1]
     for j, name in enumerate(drive.outputs):
-        if name in log.outputs:  # predicted from the first window with sufficient past measurements
+        if name in log.outputs:  # predicted from the first window with enough past measurements
             times = log.time[np.isfinite(log.outputs[name])]
             earliest = times[0] + SKIPPED * log.slowness - coarse_rounding(log) if times.size else np.inf
             table[: min((k for k in starts if log.time[k] >= earliest), default=log.rows) + 1, j] = np.nan
@@ -140,20 +140,20 @@ def self_started(drive: Drive, free: Replay, horizon: float) -> Replay | None:
 
 
 def replays_over(drive: Drive, free: Replay, spans: Sequence[float]) -> dict[float, Replay]:
-    """Return horizon → replay: the free run, and windows of each span that the FMU and the log allow."""
+    """Return horizon → replay: the free run, and windows of each span [s] that the FMU and the log allow."""
     windowed = (self_started(drive, free, span) for span in spans)
     return {FREE_RUN: free, **{replay.horizon: replay for replay in windowed if replay is not None}}
 
 
 def horizons(log: Log) -> tuple[float, ...]:
-    """Return the horizons of windows [s], longer for rows slower than 50 ms; the last one decides the verdict."""
+    """Return the horizons of windows [s], the deciding one last; they are longer for rows slower than 50 ms."""
     return tuple(horizon * log.slowness for horizon in HORIZONS)
 
 
 def chains(log: Log, horizon: float) -> list[tuple[list[int], int]]:
-    """Return chains of consecutive windows of a log, each with the first row that counts; a pause begins a new one.
+    """Return chains of consecutive windows, each with the first row that counts; after a pause, a new chain begins.
 
-    At the start of each chain the state settles in short windows, which do not count.
+    A chain begins with short windows, in which the state settles and which do not count.
     """
     result, skipped = [], SKIPPED * log.slowness
     for part in stretches(log):
@@ -168,7 +168,7 @@ def chains(log: Log, horizon: float) -> list[tuple[list[int], int]]:
 
 
 def window_rows(log: Log, horizon: float, skipped: float = SKIPPED) -> list[int]:
-    """Return the first rows of consecutive whole windows, after the first `skipped` seconds."""
+    """Return the first rows of consecutive complete windows, after the first `skipped` seconds."""
     rows: list[int] = []
     k = int(np.searchsorted(log.time, log.time[0] + skipped - coarse_rounding(log)))
     while k < log.rows - 1 and log.time[k] + horizon <= log.time[-1] + 0.5 * log.step:
@@ -184,11 +184,11 @@ def window_rows(log: Log, horizon: float, skipped: float = SKIPPED) -> list[int]
 
 @dataclass(frozen=True)
 class StartParameter:
-    """A start parameter shown by an output: output = gain·parameter after initialization.
+    """A start parameter to which an output is proportional after initialization: output = gain·parameter.
 
     Attributes:
-        tried: The two parameter values of the test.
-        places: Indices in the state of a cosim FMU; empty if the state cannot be read.
+        tried: The two parameter values that were tried.
+        places: Indices of the parameter in the state of an FMU built by cosim; empty if the state cannot be read.
     """
 
     name: str
@@ -199,15 +199,15 @@ class StartParameter:
     places: tuple[int, ...] = ()
 
     def value(self, output: float) -> float:
-        """Return the start parameter that gives an output value, within its limits."""
+        """Return the value of the start parameter, within its limits, that gives an output value."""
         return min(max(output / self.gain, self.low), self.high)
 
 
 def start_parameters(drive: Drive) -> dict[str, StartParameter]:
     """Return output → start parameter, determined by trial initializations.
 
-    `angle` and `angle_actual` may be set by `angle_start`, or `angle` by its own start value, which must be exact.
-    Parameters without proportional output are ignored.
+    For example, `angle_start` may set `angle` and `angle_actual`, or `angle` has a start value of its own, which must
+    be exact. Parameters without a proportional output are ignored.
     """
     variables = {}
     for v in drive.description.modelVariables:
@@ -241,13 +241,13 @@ def start_parameters(drive: Drive) -> dict[str, StartParameter]:
         after = {output: drive.own(tried | {p.name: p.tried[1]})[STATE] for output, p in parameters.items()}
     except (SimulationError, ValueError, KeyError, TypeError):
         return parameters
-    # the indices of the state that each parameter moves
+    # indices of the state that each parameter changes
     places = {n: tuple(k for k, a in enumerate(s) if a != before[k]) for n, s in after.items()}
     return {n: replace(p, places=places[n]) for n, p in parameters.items()} if all(places.values()) else parameters
 
 
 def first_start(drive: Drive, parameters: Mapping[str, StartParameter]) -> dict[str, float]:
-    """Return the start of the free run, the best fit to the first second.
+    """Return the start values of the free run that best fit the first second of the log.
 
     Unmeasured states keep the FMU's start values.
     """
@@ -266,12 +266,12 @@ def first_start(drive: Drive, parameters: Mapping[str, StartParameter]) -> dict[
 
 
 def _values_for(parameters: Mapping[str, StartParameter], outputs: NamedValues) -> dict[str, float]:
-    """Return the values of start parameters that give some outputs."""
+    """Return the values of start parameters that give these output values."""
     return {parameters[name].name: parameters[name].value(value) for name, value in outputs.items()}
 
 
 def noise_levels(log: Log, model: NamedArrays | None = None) -> dict[str, float]:
-    """Return channel → noise level, more accurate with outputs of the model."""
+    """Return channel → noise level (standard deviation); outputs of the model make it more accurate."""
     return {name: sigma_of(values, (model or {}).get(name)) for name, values in log.outputs.items()}
 
 
@@ -288,7 +288,7 @@ def _corrections(
     at: int,
     rows: Rows,
 ) -> dict[str, float]:
-    """Return output → value at row `at`, corrected by the measurements in `rows`, for corrected outputs only."""
+    """Return output → value at row `at` for those outputs that measurements in `rows` correct."""
     log, changes, slopes = drive.log, dict[str, float](), dict[str, float]()
     rates = {rate_of(name, log.outputs) for name in log.outputs}
     for name in log.outputs:
@@ -310,7 +310,7 @@ def _corrections(
         return corrected
     if not ({frame.x, frame.y} <= slopes.keys() and frame.local <= state.keys()):
         return corrected
-    # The position is measured and the velocity is not: the local velocity at the corrected heading.
+    # If the position is measured and the velocity is not: local velocity at the corrected heading.
     x, y = world_velocity(SCALAR, state[frame.heading], state[frame.forward], state[frame.right])
     heading = corrected.get(frame.heading, state[frame.heading])
     forward, right = local_vector(SCALAR, heading, x + slopes[frame.x], y + slopes[frame.y])
@@ -318,9 +318,9 @@ def _corrections(
 
 
 def _parabola(log: Log, errors: Sequence[Error], at: int, rows: Rows) -> tuple[float | None, float | None]:
-    """Return value and slope at row `at` of the parabola through measured − carrier.
+    """Return value and slope, at row `at`, of the parabola fitted to measured − carrier.
 
-    The longest stretch that fits within the noise counts, so a poor model is extrapolated less.
+    The longest time in which the parabola fits within the noise is used, so that a poor model is extrapolated less.
     """
     ahead = bool(rows.size and rows[-1] > at)
     estimate: tuple[float | None, float | None] = None, None
@@ -331,7 +331,7 @@ def _parabola(log: Log, errors: Sequence[Error], at: int, rows: Rows) -> tuple[f
             good = np.isfinite(error)
             tau = log.time[rows[good]] - log.time[at]
             near = np.flatnonzero(np.abs(tau) <= reach + 1e-9)
-            if near.size < LEAST:  # of a slow sensor, the nearest few readings
+            if near.size < LEAST:  # for a slow sensor, the nearest few readings
                 nearest = np.argsort(np.abs(tau), kind="stable")[:LEAST]
                 near = np.sort(nearest[np.abs(tau[nearest]) <= OLDEST * log.slowness])
             tau, one, zero = tau[near], np.ones(near.size), np.zeros(near.size)
@@ -351,7 +351,7 @@ def _parabola(log: Log, errors: Sequence[Error], at: int, rows: Rows) -> tuple[f
 
 
 def sigma_of(values: Array, model: Array | None = None) -> float:
-    """Return the noise level of a channel, more accurate with the output of the model."""
+    """Return the noise level (standard deviation) of a channel; the output of the model makes it more accurate."""
     level = noise_level(values) if model is None else least_noise_level(values, model)
     floor = 1e-6 * float(np.nanmax(np.abs(values)))
     return max(floor, 1e-12) if math.isnan(level) else max(level, floor, 1e-12)

@@ -1,4 +1,4 @@
-"""Workflow of a replay: log → gate → drive → free run → comparison → results → page."""
+"""Workflow of a replay: log → checks of the log → free run → comparison → results → page."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ from cosim.residuals.residual_statistics import FREE_RUN
 from cosim.residuals.windows import Replay as Replayed
 from cosim.residuals.windows import free_run
 
-MEASURED = "log"  # component name of measurements, beside PLANT
+MEASURED = "log"  # component name of measurements in results; the FMU is PLANT
 NEXT_STUDY = "study.yaml"
 HEAD = """\
 # Written by `cosim replay`. In this folder:
@@ -105,7 +105,7 @@ def replay(
         Signals of FMU and log, and the residual of each horizon.
 
     Raises:
-        InputError: Every fault of the input.
+        InputError: The input is wrong; the error names all faults.
         FmuError: An FMU cannot be read or loaded.
         SimulationError: The simulation failed; the rows so far are in `out`.
     """
@@ -115,11 +115,11 @@ def replay(
         folder = stack.enter_context(results_in(out, "cosim replay", name_of_file(path), force=force))
         stack.enter_context(one_stop())
         place = named_path(folder)
-        # An unavailable format must fail before the replay.
+        # an unavailable format is reported before the replay
         rows_file, residual_file = (place / rows_name(stem, format) for stem in ("results", "residual"))
         worker = None if in_process else stack.enter_context(Worker(*MODULES))
         if worker is not None:
-            worker.start()  # The worker starts while files are read.
+            worker.start()  # starts in parallel to the reading of files
         scratch = stack.enter_context(temporary_folder("replay"))
         names = read_column_names(column_names(columns), path)
         driven = Path(fmu) if fmu else _plant_of(path, names, scratch)
@@ -164,7 +164,7 @@ def replay(
             if report and out is not None:
                 text = page(comparison, next_study, validity, passing=fmu is None)
                 write_text(place / "report.html", text)
-        except (KeyboardInterrupt, Terminated) as stop:  # all rows of the free run are written
+        except (KeyboardInterrupt, Terminated) as stop:  # all rows of the free run are already written
             ended = stop_error(stop, float(measured.time[-1]), "the comparison")
             ended.left = place
             raise ended from None
@@ -174,7 +174,7 @@ def replay(
 
 
 def _plant_of(log: Path, columns: Mapping[str, str], folder: Path) -> Path:
-    """Build the FMU of the base model, for a log that has one of its signals; raise InputError for another log."""
+    """Build the FMU of the base model for a log with one of its signals; raise InputError for another log."""
     check_given(log, LOG)
     base = load_model(BASE, Path())
     known = {q.name for q in (*base.model.inputs, *base.model.outputs)}
@@ -184,7 +184,7 @@ def _plant_of(log: Path, columns: Mapping[str, str], folder: Path) -> Path:
 
 
 def _claimed_sensors(fmu: Path) -> list[str]:
-    """Return the errors of sensors that a refine beside an FMU claims; no FMU holds them."""
+    """Return the sensor errors that refine.json beside an FMU claims; FMUs do not contain them."""
     beside = folder_of(fmu)
     effects = content_of(beside / ANSWER).get("effects") if beside else None
     entries = effects if isinstance(effects, list) else []
@@ -192,11 +192,11 @@ def _claimed_sensors(fmu: Path) -> list[str]:
 
 
 def _free_run(drive: Drive, file: Path) -> Replayed:
-    """Run the FMU over the whole log and write its rows, with units in replay.json; of a failure the finished rows."""
+    """Simulate the FMU over the log and write its rows, even after a failure; units are in replay.json."""
     error: SimulationError | None = None
     try:
         free = free_run(drive)
-        hold_stops()  # From here, rows exist that must not be lost.
+        hold_stops()  # rows that exist from here must not be lost
         rows = results(drive, free.outputs)
     except (SimulationError, KeyboardInterrupt, Terminated) as stop:
         if drive.left is None:
@@ -213,18 +213,18 @@ def _free_run(drive: Drive, file: Path) -> Replayed:
 
 
 def _next_study(folder: Path, fmu: Path | None, log: Path, columns: Mapping[str, str], start: Sequence[str]) -> str:
-    """Return the text of a study for `folder` of an FMU and a log, to be completed by further logs.
+    """Return the text of a study in `folder` with an FMU and a log, to which the user adds further logs.
 
     Args:
-        fmu: None for the base model.
+        fmu: FMU of the study; None for the base model.
         columns: Name in the log → name in the FMU.
-        start: Values of the replay, NAME=VALUE, which a study of `cosim refine` does not have.
+        start: Start values of the replay, NAME=VALUE, which a study of `cosim refine` cannot contain.
     """
 
     def written(path: Path) -> str:
         try:
             name = os.path.relpath(path.resolve(), folder.resolve())
-        except ValueError:  # on another drive of Windows
+        except ValueError:  # the file is on another drive of Windows
             name = str(path.resolve())
         return as_yaml(Path(name).as_posix())
 
@@ -249,7 +249,7 @@ def results(drive: Drive, outputs: NamedArrays) -> Results:
 
 
 def residuals(comparison: Comparison) -> Results:
-    """Return measured − model by horizon, such as `free_run.angle`."""
+    """Return the residuals (measured − model), with names such as `free_run.angle`."""
     columns: dict[str, Array] = {}
     units: dict[str, str] = {}
     for horizon, replayed in sorted(comparison.replays.items(), reverse=True):

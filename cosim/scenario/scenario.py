@@ -26,16 +26,16 @@ from cosim.files.yaml_file import (
 from cosim.isolation.limits import Limits
 
 Course = Literal["hold", "linear", "quadratic"]
-COURSES: tuple[Course, ...] = ("hold", "linear", "quadratic")  # by degree
+COURSES: tuple[Course, ...] = ("hold", "linear", "quadratic")  # index: polynomial degree
 LARGEST_NUMBER = 1e308  # approximate limit of doubles; FMI has no larger integers
 Name = Annotated[str, Field(pattern=r"^[A-Za-z_][A-Za-z0-9_]*$")]
 Variable = Annotated[str, Field(pattern=r"(?s)^[A-Za-z_][A-Za-z0-9_]*\..+$")]
 
 
 def scalar(value: Any) -> Any:
-    """Return a value if valid: a finite number, true or false, or text.
+    """Return a value if it is valid: a finite number, true or false, or text; raise ValueError if not.
 
-    Text is a number with a unit, a string value or an enumeration item. An array has a list of values.
+    Text is a number with a unit, a string or an enumeration item. The value of an array is a list.
     """
     if isinstance(value, list):
         return [scalar(each) for each in value]
@@ -45,7 +45,7 @@ def scalar(value: Any) -> Any:
 
 
 def _kind_of(component: Any) -> str | None:
-    """Return the kind of a component, by its characteristic key."""
+    """Return the kind of a component, which one of its keys determines."""
     if isinstance(component, FmuComponent | ReferenceComponent | PlaybackComponent | FixComponent):
         return f"«{getattr(component, 'block', 'fmu')}»"
     if not isinstance(component, dict):
@@ -74,7 +74,7 @@ class Connection(Part):
     from:   the output, `component.variable`
     to:     the input, `component.variable`; an input has one source
     noise:  noise and bias added to the value
-    factor: multiplies the value in place of the unit conversion
+    factor: multiplies the value, instead of a unit conversion
     offset: added after the factor, in the unit of the input
     """
 
@@ -123,7 +123,7 @@ class Disturbance(Part):
 class Event(Part):
     """Values set for parameters and inputs at a time.
 
-    at:  time [s]; takes effect at the first communication point at or after it
+    at:  time [s]; the values are set at the first communication point at or after this time
     set: `component.variable` → value
     """
 
@@ -151,7 +151,7 @@ class FmuComponent(Part):
     start:   variable → value, for parameters and unconnected inputs
     parameters: parameter sets (SSV), files relative to the scenario, such as fitted.ssv; later files override
         earlier ones, and `start` overrides all
-    process: `own` for a process shared with no other FMU
+    process: `own` for a process of its own, not shared with other FMUs
     interface: FMI interface, if the FMU offers several
     event_mode: true to use event mode in FMI 3.0 co-simulation; by default true if the FMU has clocks
     clocks:    input clock → its times, for clocks whose times the FMU does not specify
@@ -159,11 +159,11 @@ class FmuComponent(Part):
     tolerance: relative tolerance of the FMU's solver
     logging:   true for debug logging
     solver:    solver for model exchange
-    solver_step: longest step of this solver [s]; by default 1/50 of the run
-    max_steps: largest number of steps of this solver between communication points and events; by default 500 for
+    solver_step: longest step of the solver [s]; by default 1/50 of the run
+    max_steps: largest number of solver steps between communication points and events; by default 500 for
         CVODE, any number for solve_ivp
-    feedthrough: inputs that an output follows without delay, where the FMU declares no dependencies; [] for none. By
-        default a run measures them at its start, if a loop depends on them
+    feedthrough: inputs with direct feedthrough, for an FMU that declares no dependencies; [] for none. By default a
+        run measures them at its start, if a loop depends on them
     sha256:    SHA-256 of the file, as written to a manifest
     """
 
@@ -200,7 +200,7 @@ class PlaybackComponent(Part):
 
     block:         playback
     file:          CSV file, relative to the scenario; its first column is time [s]
-    interpolation: held: each value applies until the next row; linear: linear between rows. Equal times mark a jump
+    interpolation: held: each value applies until the next row; linear: interpolated. Equal times mark a jump
     sha256:        SHA-256 of the file, as written to a manifest
     """
 
@@ -225,12 +225,12 @@ class FixComponent(Part):
     """Sensor with sporadic, delayed fixes, such as a camera, a beacon or a range to a wall.
 
     block:   fix
-    rate:    fix rate [Hz], starting at the start of the run; each fix falls on the first communication point at or
-        after its time
+    rate:    fixes per second [Hz], the first one at the start of the run; each fix is taken at the first communication
+        point at or after its time
     latency: delay from measurement to output [s]
     dropout: probability of losing a fix, 0 … 1
-    signals: name → unit and noise; all are measured at once. `NAME_meas` holds the latest fix, `fix` its number, 0
-        before the first
+    signals: name → unit and noise; all signals are measured at the same time. Output `NAME_meas` is the latest fix,
+        output `fix` its number, 0 before the first fix
     """
 
     block: Literal["fix"]
@@ -241,7 +241,7 @@ class FixComponent(Part):
 
 
 class Bond(Part):
-    """Power bond of two FMUs: two outputs, each connected to an input of the other, whose product is a power.
+    """Power bond of two FMUs: two outputs whose product is a power, each connected to an input of the other FMU.
 
     effort: a force, torque, voltage or pressure, `component.output`
     flow:   the matching velocity, speed, current or flow, `component.output`
@@ -257,8 +257,8 @@ class StepControl(Part):
     max:       longest step [s]
     min:       shortest step [s]
     tolerance: largest error of a step, relative to a signal's magnitude or its nominal value, whichever is larger
-    per:       step, or second for the largest error per second of simulated time, with estimator halving
-    rows:      time between rows of the results [s]; a step never crosses one; by default `max`
+    per:       step; or second, if `tolerance` is an error per second of simulated time (estimator halving only)
+    rows:      time between rows of the results [s]; a step never extends beyond a row; by default `max`
     estimator: halving, residual or energy; by default energy with bonds, halving if all FMUs save and restore their
         state, otherwise residual
     bonds:     power bonds of the estimator energy
@@ -276,8 +276,8 @@ class StepControl(Part):
 class Recording(Part):
     """Recorded part of a run.
 
-    signals: patterns such as `plant.*` of the signals to record, locals and parameters too; by default all inputs and
-        outputs
+    signals: patterns of the signals to record, such as `plant.*`, including locals and parameters; by default all
+        inputs and outputs
     every:   time between recorded rows [s], a whole number of steps; by default the step
     """
 
@@ -315,8 +315,8 @@ class Criterion(Part):
     of:    signal, `component.variable`
     to:    target, a number or another signal; default 0
     band:  tolerance band of settling_time, in the unit of the signal
-    after: start of the evaluation [s] after the start
-    until: end of the evaluation [s] after the start
+    after: start of the evaluation, in seconds after the start of the run
+    until: end of the evaluation, in seconds after the start of the run
     max:   largest allowed value, in the unit of the signal; of settling_time [s]
     """
 
@@ -329,10 +329,10 @@ class Criterion(Part):
 
 
 class ValidCriterion(Part):
-    """Least share of the time in the region that the logs of an FMU cover.
+    """Required share of the time that an FMU spends in the region covered by the logs of its fit.
 
     of:  component whose FMU has a record of credibility
-    min: least share, 0 … 1
+    min: required share, 0 … 1
     """
 
     of: Name
@@ -340,7 +340,7 @@ class ValidCriterion(Part):
 
 
 def _goal_of(criterion: Any) -> str:
-    """Return the tag of a criterion: one of a component, or one of a signal."""
+    """Return the tag of the union branch for a criterion: of a component, or of a signal."""
     keys = criterion if isinstance(criterion, dict) else vars(criterion) if isinstance(criterion, Part) else {}
     return "«component»" if "min" in keys else "«signal»"
 
@@ -378,19 +378,21 @@ class Scenario(Part):
     step:        communication step [s], or the control of its error
     start_time:  [s]
     seed:        seed of all random streams; the same seed gives the same bytes
-    order:       stepping order of components with inputs, if their FMUs do not determine it
-    extrapolate: course of inputs during a step, if only past values are available; linear with controlled steps
-    interpolate: course of inputs during a step, if the value at its end is available; linear with controlled steps
-    loops:       solution of algebraic loops; inputs without declared dependencies may then be part of one
+    order:       stepping order of components with inputs, if declared dependencies do not determine it
+    extrapolate: inputs during a step, if only past values are available; by default hold, or linear with controlled
+        steps
+    interpolate: inputs during a step, if the value at its end is available; by default hold, or linear with controlled
+        steps
+    loops:       solution of algebraic loops; inputs without declared dependencies can then be part of a loop
     noise:       on or off, for all connections
     tolerance:   relative tolerance of the solvers; by default each FMU's own
-    record:      patterns such as `plant.*` of locals and parameters to record besides inputs and outputs; or a part of
-        all signals, at a rate of its own
+    record:      patterns, such as `plant.*`, of locals and parameters to record besides inputs and outputs; or a
+        mapping that selects signals and rows
     components:  name → FMU, reference, recording or fixes
     connections: from outputs to inputs
     events:      values set for parameters and inputs at a time
     faults:      faults on connections
-    criteria:    required figures of merit; a missed criterion leads to exit code 5
+    criteria:    figures of merit with limits; a missed criterion leads to exit code 5
     limits:      limits on time and memory of a run
     checkpoint:  wall-clock time [s] between two checkpoints, from which `cosim run FOLDER --resume` continues
     pace:        simulated seconds per second: 1 for real time; by default as fast as possible
@@ -407,7 +409,7 @@ class Scenario(Part):
     ] = Field(alias="step")
     start_time: Seconds = 0.0
     seed: Annotated[int, Field(strict=True, ge=0)] = 0
-    algorithm: Annotated[str, AlgorithmKey()] = DEFAULT.name  # The registered algorithms supply its description.
+    algorithm: Annotated[str, AlgorithmKey()] = DEFAULT.name  # its description lists the registered algorithms
     order: list[Name] | None = None
     extrapolate: Course | None = None
     interpolate: Course | None = None
@@ -443,30 +445,30 @@ class Scenario(Part):
 
     @property
     def recorded(self) -> list[str]:
-        """Return the patterns of locals and parameters to record."""
+        """Return the patterns of the locals and parameters to record besides inputs and outputs."""
         return (self.record.signals or []) if isinstance(self.record, Recording) else self.record
 
     @property
     def targets(self) -> frozenset[str]:
-        """Return the connected inputs, as `component.variable`."""
+        """Return the connected inputs, by name `component.variable`."""
         return frozenset(connection.target for connection in self.connections)
 
     @property
     def isolated(self) -> frozenset[str]:
-        """Return names of components with a process of their own."""
+        """Return the names of components with a process of their own."""
         every = self.components.items()
         return frozenset(name for name, c in every if isinstance(c, FmuComponent) and c.process == "own")
 
     @property
     def courses(self) -> tuple[int, int]:
-        """Return the polynomial degrees of extrapolation and interpolation."""
+        """Return the polynomial degrees of extrapolated and of interpolated inputs."""
         default = COURSES[0] if self.control is None else COURSES[1]
         return COURSES.index(self.extrapolate or default), COURSES.index(self.interpolate or default)
 
     @property
     def steps(self) -> int:
-        """Return the number of rows after the first."""
-        return round(min(self.duration / self.step, 1e18))  # above the limit of any run; infinity cannot be an integer
+        """Return the number of steps between rows, which is the number of rows minus one."""
+        return round(min(self.duration / self.step, 1e18))  # above the limit of any run; infinity has no integer
 
     @property
     def goals(self) -> list[tuple[str, int | None, Criterion]]:

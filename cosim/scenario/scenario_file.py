@@ -1,4 +1,4 @@
-"""Reading of scenario files: overrides, faults with their place, and the valid remainder of a faulty file."""
+"""Reading of scenario files: overrides, faults with line and column, and the valid parts of a faulty file."""
 
 from __future__ import annotations
 
@@ -24,23 +24,23 @@ from cosim.scenario.start_values import STAND_IN, waiting_texts
 
 MOST_STEPS = 2e7
 ROUNDING = 1e-9  # relative tolerance for a whole number of steps
-FILES = ("fmu", "file", "parameters")  # keys of file names of a component
-SYSTEM = "system"  # folder with scenario and FMUs in the run folder of an SSP
+FILES = ("fmu", "file", "parameters")  # keys of a component with file names
+SYSTEM = "system"  # folder with the scenario and FMUs of an SSP, in its run folder
 Place = tuple[str | int, ...]  # keys of a part of the scenario
-LISTS = ("connections", "faults", "events")  # lists from which faulty entries are removed singly
+LISTS = ("connections", "faults", "events")  # lists from which single faulty entries are removed
 STAND_INS: dict[str, Any] = {"name": "?", "duration": 1.0, "step": 0.1}
-TICKS = 1000  # spacings of floating-point times in the shortest controlled step
+TICKS = 1000  # least ratio of the shortest controlled step to the spacing of doubles at the largest time
 
 
 class ScenarioFile:
-    """A scenario with its file, so that later checks can name places.
+    """A scenario with its file, so that later checks can name line and column.
 
-    Faults of form do not stop the checks of meaning. Callers that run the scenario must raise `faults` first.
+    Keys or types with faults do not prevent further checks. Before a run, the caller must raise `faults`.
 
     Args:
-        overrides: `path=value` texts; a fault of an overridden value names the override.
+        overrides: `path=value` texts; the message on a fault of an overridden value names the override.
         origin: Function that maps a fault of a generated scenario to its source file.
-        option: Option name for messages on overrides; "" if the caller supplies places.
+        option: Name of the option in messages on overrides; "" if the caller supplies the places.
 
     Attributes:
         overrides: The `path=value` texts.
@@ -81,7 +81,7 @@ class ScenarioFile:
                 part[at[-1]] = STAND_IN
                 self.faults.append(self.yaml.wrong(at, text, error))
         if texts:
-            form_faults = self._read(data)  # Ranges hold for numbers.
+            form_faults = self._read(data)  # before conversion, since ranges apply to numbers
         self.faults += form_faults
         self.sets: dict[str, list[Path]] = {}
         self._take_parameter_sets()
@@ -90,15 +90,15 @@ class ScenarioFile:
         self.faults += [self.fault(where, message) for where, message in self._time_faults()]
 
     def _read(self, data: dict[str, Any]) -> list[Fault]:
-        """Set the scenario, without faulty parts if necessary; return the faults of form."""
-        self.broken, self.stands_in = set[str](), False  # True if name, duration or step were replaced
+        """Set the scenario without its faulty parts; return the faults of keys and types."""
+        self.broken, self.stands_in = set[str](), False  # the latter is True if name, duration or step were replaced
         lists = {key: data[key] if isinstance(data.get(key), list) else () for key in LISTS}
         self.places = {key: list(range(len(entries))) for key, entries in lists.items()}
         self.scenario, faults = self.yaml.partly(Scenario, data=data, remove=self._drop)
         return faults
 
     def _drop(self, data: dict[str, Any], places: Sequence[tuple[Location, str]]) -> None:
-        """Remove the smallest part around each fault, so that the rest can be checked."""
+        """Remove the smallest part around each fault, so that the other parts can be checked."""
         entries: dict[Any, set[Any]] = {}
         for (first, *rest), _ in places:
             if first in STAND_INS:
@@ -135,7 +135,7 @@ class ScenarioFile:
                     at = ("components", name, "parameters", *(() if isinstance(component.parameters, str) else (k,)))
                     self.faults += error.faults if is_there else [self.fault(at, f"no such file: {path}")]
                     continue
-                for p in read:  # a text with its unit is converted with the FMU's
+                for p in read:  # a value with a unit is text, which is converted to the unit of the FMU variable
                     has_unit = p.unit and not isinstance(p.value, (bool, str))
                     values[p.name] = f"{p.value!r} {p.unit}" if has_unit else p.value
             start = {**values, **component.start}
@@ -220,7 +220,7 @@ class ScenarioFile:
                 yield where, f"{interval}; choose times within the run, at least one step apart"
 
     def _control_faults(self) -> Iterator[tuple[Location, str]]:
-        """Yield places and faults of the control of the steps."""
+        """Yield places and faults of the settings of error-controlled steps."""
         s, control = self.scenario, self.scenario.control
         if control is None or self.stands_in:
             return
@@ -238,17 +238,17 @@ class ScenarioFile:
 
 
 def is_whole(count: float) -> bool:
-    """Return True if a number of steps is a whole number of at least 1, within rounding."""
+    """Return True if a number of steps is an integer of at least 1, within rounding."""
     return abs(count - round(count)) <= ROUNDING * max(1.0, count) and round(count) >= 1
 
 
 def _override(path: Path, data: dict[str, Any], text: str, subject: str) -> Location:
     """Apply a `path=value` override; return the location of the value.
 
-    The value is read as YAML, which includes JSON, otherwise as text.
+    The value is read as YAML (which includes JSON); if that fails, as text.
 
     Args:
-        subject: Name of the override in messages; "" for its path.
+        subject: Name of the override in messages; "" for its path as name.
     """
     target, sign, value = text.partition("=")
     reason = "does not have the form path=value; for example --set noise=off"
@@ -257,7 +257,7 @@ def _override(path: Path, data: dict[str, Any], text: str, subject: str) -> Loca
         keys = keys_of(target.strip())
         components = data.get("components")
         if len(keys) > 1 and keys[0] not in data and isinstance(components, dict) and keys[0] in components:
-            keys = ["components", keys[0], "start", target.strip().partition(".")[2]]  # a variable, as it is printed
+            keys = ["components", keys[0], "start", target.strip().partition(".")[2]]  # a variable's name
         at: list[str | int] = []
         for depth, key in enumerate(keys):
             index: str | int = key
@@ -280,7 +280,7 @@ def _override(path: Path, data: dict[str, Any], text: str, subject: str) -> Loca
 
 
 def keys_of(target: str) -> list[str]:
-    """Return the keys of a path.
+    """Return the keys of a path in the scenario.
 
     A variable's name may contain dots: components.plant.start.coulomb_friction.force.
     """
@@ -291,12 +291,12 @@ def keys_of(target: str) -> list[str]:
 
 
 def from_here(keys: Sequence[str], value: Any) -> Any:
-    """Return a part of a scenario with absolute file names.
+    """Return a part of a scenario in which file names are absolute.
 
-    Relative names are relative to the current folder, where the user typed them.
+    A relative name refers to the current folder, in which the user typed it.
 
     Args:
-        keys: Place of the part; none for the whole scenario.
+        keys: Keys of the part; empty for the whole scenario.
     """
     if keys and keys[0] != "components":
         return value
@@ -315,15 +315,15 @@ def sha256(path: Path) -> str:
 
 
 def key_of(component: Component) -> str:
-    """Return the key under which a component names its file."""
+    """Return the key of a component that contains its file name: `fmu` or `file`."""
     return "fmu" if isinstance(component, FmuComponent) else "file"
 
 
 def with_files_beside(scenario: Scenario, folder: Path) -> Scenario:
-    """Return a manifest's scenario with missing or changed files replaced by copies in `folder`.
+    """Return the scenario of a manifest, in which copies in `folder` replace missing or changed files.
 
-    A file missing at its path is searched by name in `folder` or in the system of an SSP there. A file with changed
-    content is replaced too, if the file in `folder` has the recorded hash.
+    A missing file is searched by name in `folder`, and in the system of an SSP in it. A changed file is replaced if the
+    file in `folder` has the recorded hash.
     """
     components: dict[str, Any] = dict(scenario.components)
     for name, component in components.items():

@@ -1,7 +1,7 @@
 """Start values of a scenario, converted to the type and unit of the FMU variable or signal.
 
-Texts in the unit of a signal, such as `2 deg`, are converted after the scenario is built. Quantities with a fixed
-unit, such as `duration`, are converted by `cosim.files.yaml_file.InUnit`.
+Texts whose unit must fit a signal, such as `2 deg`, are converted after the model descriptions are read. Quantities
+with a fixed unit, such as `duration`, are converted by `cosim.files.yaml_file.InUnit`.
 """
 
 from __future__ import annotations
@@ -32,25 +32,25 @@ from cosim.fmi.description import enumeration_items, is_difference, read_descrip
 from cosim.fmi.fmi_types import element_names, kinds_of
 from cosim.scenario.scenario import FmuComponent, PlaybackComponent, ReferenceComponent, Scenario
 
-STAND_IN = 1.0  # replaces a faulty quantity, so that the other checks can continue
+STAND_IN = 1.0  # replaces a faulty number, so that other checks can continue
 Resolve = Callable[[str], Path]
-# unit of a signal, and a function from (text, difference=) to a number in this unit, which may raise ValueError
+# unit of a signal, and a function of (text, difference=) that returns a number in this unit or raises ValueError
 Measure = tuple[str, Callable[..., float]]
-# place, text, kind (value, difference, square, rate per second, integral over time, time, share), signal or its measure
+# location, text, kind (value, difference, square, rate per second, integral over time, time, share), signal or its unit
 Quantity = tuple[Location, str, str, str | Measure]
 HEX = re.compile(r"(?:[0-9A-Fa-f]{2})*")
 
 
 def settable(variable: Any) -> bool:
-    """Return whether FMI allows setting a start value of this variable."""
+    """Return True if FMI allows setting a start value of a variable."""
     if variable.variability == "constant" or variable.causality in {"independent", "structuralParameter"}:
         return False
-    has_start = variable.initial is None and variable.start is not None  # FMI 1.0 has no `initial`.
+    has_start = variable.initial is None and variable.start is not None  # FMI 1.0 has no attribute `initial`
     return variable.causality == "input" or variable.initial in {"exact", "approx"} or has_start
 
 
 def kind_of(variable: Any) -> str:
-    """Return the reason why a variable has no settable start value, as a phrase."""
+    """Return a phrase that says why a variable has no settable start value."""
     phrases = {
         "output": "an output",
         "calculatedParameter": "calculated",
@@ -61,9 +61,10 @@ def kind_of(variable: Any) -> str:
 
 
 def with_elements(start: Mapping[str, Any], variables: Mapping[str, Any]) -> dict[str, Any]:
-    """Return start values in which single array elements are merged into arrays.
+    """Return start values in which values of single array elements are merged into values of arrays.
 
-    An element is written `A[1,2]: 3`. The other elements come from the given array, otherwise from its start value.
+    An element is written `A[1,2]: 3`. Other elements have the value that `start` sets for the array, otherwise the
+    array's start value in the FMU.
     """
     merged = dict(start)
     for name, value in start.items():
@@ -73,7 +74,7 @@ def with_elements(start: Mapping[str, Any], variables: Mapping[str, Any]) -> dic
         values = merged.get(array.name, array.start)
         values = [values or 0.0] if values is None or isinstance(values, (int, float)) else values
         values = values.split() if isinstance(values, str) else values
-        if isinstance(values, (list, tuple)) and len(values) in {1, len(names)}:  # other numbers are checked elsewhere
+        if isinstance(values, (list, tuple)) and len(values) in {1, len(names)}:  # other lengths are reported elsewhere
             values = [*map(_number, values)] * (len(names) // len(values))
             del merged[name]
             merged[array.name] = [value if each == name else v for each, v in zip(names, values, strict=True)]
@@ -81,7 +82,7 @@ def with_elements(start: Mapping[str, Any], variables: Mapping[str, Any]) -> dic
 
 
 def _number(text: Any) -> Any:
-    """Return an XML start value as a number, if numeric."""
+    """Return a start value from XML as a number if it is numeric, otherwise unchanged."""
     if not isinstance(text, str):
         return text
     try:
@@ -91,7 +92,7 @@ def _number(text: Any) -> Any:
 
 
 def start_value(description: Any, variables: Mapping[str, Any], name: str, value: Any, component: str = "") -> Any:
-    """Return a start value in the FMI type of the variable; raise ValueError for an unsuitable name or value."""
+    """Return a start value in the FMI type of the variable; raise ValueError for an unknown name or invalid value."""
     variable, full_name = variables.get(name), f"{component}.{name}".lstrip(".")
     if variable is None:
         hint = did_you_mean(name, [n for n, v in variables.items() if settable(v)])
@@ -107,7 +108,7 @@ def start_value(description: Any, variables: Mapping[str, Any], name: str, value
 def convert_value(description: Any, variable: Any, value: Any) -> Any:
     """Return a start value in the variable's FMI type; raise ValueError with the reason if it does not fit.
 
-    An array has a list of values.
+    The value of an array is a list.
     """
     if not variable.shape:
         return _scalar(description, variable, value)
@@ -156,7 +157,7 @@ NOT_NUMBERS: dict[str, tuple[Callable[[Any], bool], str]] = {
 def bounds_of(description: Any, variable: Any) -> tuple[float, float]:
     """Return the bounds of a variable; infinite for text.
 
-    Its own bounds take precedence over its declared type's; the range of the FMI type always applies.
+    Bounds of the variable replace bounds of its declared type. The range of the FMI type applies in addition.
     """
     kind = kinds_of(description.fmiVersion).get(variable.type)
     if kind is None or variable.type in NOT_NUMBERS:
@@ -194,23 +195,23 @@ def convert_quantity(description: Any, variable: Any, text: str, difference: boo
     return by[0] * number + by[1]
 
 
-# -- text in the unit of a signal ------------------------------------------------------------------
+# -- texts whose unit must fit a signal ------------------------------------------------------------------
 
 KINDS = {  # key of a part → kind of its number
     **dict.fromkeys(("offset", "bias", "band"), "difference"),
     **dict.fromkeys(("start", "to"), "value"),
     **{"variance": "square", "rate": "rate"},
 }
-UNITS = {"time": "s", "share": "1"}  # kind → unit, whatever the signal
+UNITS = {"time": "s", "share": "1"}  # kinds whose unit does not depend on the signal
 
 
 def waiting_texts(
     scenario: Scenario, places: Mapping[str, Sequence[int]], resolve: Resolve
 ) -> Iterator[tuple[Location, str, Callable[[str], float]]]:
-    """Yield location, text and converter of each text in the unit of a signal; a converter may raise ValueError.
+    """Yield location, text and converter of each text whose unit must fit a signal; a converter may raise ValueError.
 
     Args:
-        places: Indices in the file of connections and faults.
+        places: Key (connections, faults, …) → indices in the file of the entries in the scenario.
     """
     measure = cache(partial(_measure, scenario, resolve))
     for at, text, kind, of in _quantities(scenario, places):
@@ -224,7 +225,7 @@ def _quantities(scenario: Scenario, places: Mapping[str, Sequence[int]]) -> Iter
         kind = {"stuck": "value", "scale": "share"}.get(fault.kind, "difference")
         yield from _texts(("faults", k), fault, fault.on, value=kind)
     for goal, index, criterion in scenario.goals:
-        of_peak = "value" if goal == "peak" and not criterion.to else "difference"  # at most 80 degC
+        of_peak = "value" if goal == "peak" and not criterion.to else "difference"  # a limit such as "at most 80 degC"
         kind = {"settling_time": "time", "effort": "integral"}.get(goal, of_peak)
         at: Location = ("criteria", goal) if index is None else ("criteria", goal, index)
         yield from _texts(at, criterion, criterion.of, max=kind)
@@ -235,7 +236,7 @@ def _quantities(scenario: Scenario, places: Mapping[str, Sequence[int]]) -> Iter
 
 
 def _texts(at: Location, part: BaseModel, of: str | Measure, **kinds: str) -> Iterator[Quantity]:
-    """Yield the texts with units in a part of the scenario."""
+    """Yield texts with units in a part of the scenario; `kinds` maps keys of the part to kinds of numbers."""
     for name, value in part:
         kind = kinds.get(name) or KINDS.get(name)
         if kind and isinstance(value, str) and has_unit(value):  # other text is the name of a signal
@@ -246,7 +247,7 @@ def _texts(at: Location, part: BaseModel, of: str | Measure, **kinds: str) -> It
 
 
 def _measure(scenario: Scenario, resolve: Resolve, signal: str) -> Measure | None:
-    """Return the unit of a signal and its converter of texts; None if its component has a fault, reported elsewhere."""
+    """Return the unit of a signal and its converter of texts; None if the signal's component has a fault."""
     owner, _, name = signal.partition(".")
     component = scenario.components.get(owner)
     try:

@@ -1,1 +1,1 @@
-"""Scenario runs: from reading and checking to results, manifest and report."""
+"""Runs of a scenario: reading, checking, simulation, results, manifest and report."""

@@ -1,7 +1,7 @@
-"""Evaluation of a scenario's criteria on its results, and the figures of merit behind them.
+"""Evaluation of a scenario's criteria, and their figures of merit, on results.
 
-Each figure of merit takes time `t` [s], a signal and its target as arrays of shape (samples,). It returns a float in
-the signal's own unit, or in seconds.
+A figure of merit is a function of time `t` [s], a signal and its target, arrays of shape (samples,). The result is a
+float in the signal's unit or in seconds.
 """
 
 from __future__ import annotations
@@ -19,16 +19,16 @@ from cosim.credibility.validity import Validity
 from cosim.files.results import Results
 from cosim.scenario.scenario import Scenario
 
-OUTSIDE = "time_outside_logs"  # of a component, the outcome of the criterion `valid`
-DIGITS, MOST_DIGITS = 4, 17  # of a value and its limit; more where they would look the same
+OUTSIDE = "time_outside_logs"  # key of the criterion `valid`: time [s] of a component outside its logs
+DIGITS, MOST_DIGITS = 4, 17  # digits of value and limit; MOST_DIGITS if both would look equal
 
 
 @far_beyond
 def evaluate(scenario: Scenario, results: Results, validity: Mapping[str, Validity]) -> list[dict[str, Any]]:
-    """Return all criteria with value, limit, unit and outcome.
+    """Return a mapping with value, limit, unit and outcome for each criterion.
 
     Args:
-        validity: FMU with a record of credibility → its validity in this run.
+        validity: Component → validity of the run, for FMUs with a record of credibility.
     """
     outcomes = []
     elapsed, close = results.time - results.time[0], roundings(results.time, scenario.step)
@@ -39,7 +39,7 @@ def evaluate(scenario: Scenario, results: Results, validity: Mapping[str, Validi
         target = results[criterion.to][window] if isinstance(criterion.to, str) else np.full_like(signal, criterion.to)
         unit = results.units.get(criterion.of, "")
         match kind:
-            case _ if not signal.size:  # An FMU ended the simulation before the window.
+            case _ if not signal.size:  # an FMU ended the simulation before the evaluated interval
                 value = math.inf
             case "settling_time":
                 value, unit = settling_time(t, signal, target, criterion.band or 0.0), "s"
@@ -62,7 +62,7 @@ def evaluate(scenario: Scenario, results: Results, validity: Mapping[str, Validi
         )
     for _, _, goal in scenario.valid_goals:
         entry = validity.get(goal.of, {})
-        share = None if entry.get("missing") else entry.get("share")  # an unrecorded coordinate may be outside
+        share = None if entry.get("missing") else entry.get("share")  # unknown without a coordinate
         outside = None if share is None else 100.0 * (1.0 - share)
         limits = {"value": outside, "max": 100.0 * (1.0 - goal.min), "unit": "%"}
         outcomes.append({"kind": OUTSIDE, "of": goal.of, **limits, "met": share is not None and share >= goal.min})
@@ -70,7 +70,7 @@ def evaluate(scenario: Scenario, results: Results, validity: Mapping[str, Validi
 
 
 def sentence(outcome: dict[str, Any]) -> str:
-    """Return the sentence on a criterion for the terminal."""
+    """Return a sentence on the outcome of a criterion, for the terminal."""
     verdict = "met" if outcome["met"] else "MISSED"
     sizes = [math.inf if outcome["value"] is None else outcome["value"], outcome["max"]]
     unit, factor = display(outcome["unit"])
@@ -90,7 +90,7 @@ def sentence(outcome: dict[str, Any]) -> str:
 def settling_time(t: Array, signal: Array, target: Array | float, band: float) -> float:
     """Return the time [s] to the last sample outside `target ± band`.
 
-    The time is 0 if no sample is outside, and inf if the signal ends outside.
+    The time is 0 if no sample is outside the band, and inf if the last sample is outside.
     """
     outside = np.flatnonzero(np.abs(signal - target) > band)
     if outside.size == 0:
@@ -118,10 +118,10 @@ def final_error(signal: Array, target: Array | float) -> float:
 
 
 def peak(signal: Array) -> float:
-    """Return the largest magnitude."""
+    """Return the largest magnitude of a signal."""
     return float(np.max(np.abs(signal)))
 
 
 def effort(t: Array, signal: Array) -> float:
-    """Return the time integral of the magnitude [unit s]. The signal is held between samples."""
+    """Return the time integral of the magnitude [unit s] of a signal that is held between samples."""
     return float(np.sum(np.abs(signal[:-1]) * np.diff(t)))

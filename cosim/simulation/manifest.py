@@ -1,4 +1,4 @@
-"""The manifest of a run: everything needed to understand and to repeat it bit for bit."""
+"""The manifest of a run: what is needed to understand the run and to repeat it bit for bit."""
 
 from __future__ import annotations
 
@@ -28,10 +28,9 @@ PACKAGES = ("FMPy", "pythonfmu", "numpy", "scipy", "filterpy", "control", "pydan
 
 
 def resolve_scenario(file: ScenarioFile, system: System) -> Scenario:
-    """Return the executed scenario for the manifest.
+    """Return the scenario as executed, for the manifest.
 
-    The scenario has absolute paths and the hash of each file. It repeats the run from its record, as fast as possible:
-    without `pace`.
+    Paths are absolute, and each file has its hash. `pace` is left out, so that a repeated run is as fast as possible.
     """
     components = dict[str, Any](file.scenario.components)
     for name, key, named in file.component_files():
@@ -41,7 +40,7 @@ def resolve_scenario(file: ScenarioFile, system: System) -> Scenario:
 
 
 def check_pinned(file: ScenarioFile) -> None:
-    """Raise InputError if files differ from the manifest's."""
+    """Raise InputError if files differ from those that the manifest records by hash."""
     faults = []
     for name, key, path in file.component_files():
         pinned: str | None = getattr(file.scenario.components[name], "sha256", None)
@@ -57,10 +56,10 @@ def check_pinned(file: ScenarioFile) -> None:
 
 
 def manifest(file: ScenarioFile, system: System, command: str = "") -> dict[str, Any]:
-    """Return the manifest of a run before its outcome, without `software_versions`.
+    """Return the manifest of a run before its outcome is known, without `software_versions`.
 
     Args:
-        command: Command that made the scenario, if it is not `cosim run`.
+        command: Command that created the scenario, unless it is `cosim run`.
     """
     scenario, recorded = resolve_scenario(file, system), system.recorded
     components: Mapping[str, Any] = scenario.components
@@ -101,7 +100,7 @@ def manifest(file: ScenarioFile, system: System, command: str = "") -> dict[str,
             }
             for name, (path, description) in system.fmus.items()
         },
-        **dict.fromkeys(("versions", "git")),  # for `software_versions`
+        **dict.fromkeys(("versions", "git")),  # filled later by `software_versions`
         "loop": "",
         "timings": {},
         "warnings": list(system.warnings),
@@ -110,9 +109,9 @@ def manifest(file: ScenarioFile, system: System, command: str = "") -> dict[str,
 
 
 def add_changes(record: dict[str, Any], scenario: Scenario, changes: Sequence[Change]) -> None:
-    """Add the changes that were made while a run went on to its manifest, as events at the same points.
+    """Add changes by observers during a run to its manifest, as events at the same communication points.
 
-    A repeated run sets the same values in the same order, so that it gives the same bytes.
+    A repeated run thus sets the same values in the same order, and gives the same bytes.
     """
     if not changes:
         return
@@ -126,7 +125,7 @@ def add_changes(record: dict[str, Any], scenario: Scenario, changes: Sequence[Ch
         at = max([scenario.start_time + change.point * scenario.step, *(e["at"] for e in at_point)])
         values = {f"{name}.{variable}": v for name, values in change.values.items() for variable, v in values.items()}
         made.append({"at": at, "set": values})
-        for event in at_point:  # Two events at one time cannot set a variable twice; the change came last.
+        for event in at_point:  # of two events that set a variable, the later one, the change, remains
             if event["at"] == at:
                 event["set"] = {name: values.get(name, value) for name, value in event["set"].items()}
         at_point.append({"at": at, "set": dict(values)})
@@ -143,7 +142,7 @@ def add_changes(record: dict[str, Any], scenario: Scenario, changes: Sequence[Ch
 def software_versions() -> dict[str, Any]:
     """Return the versions of the packages and the platform, and this package's git revision.
 
-    The call takes a while, because it starts git.
+    The call is slow, because it starts git.
     """
     versions = {"python": platform.python_version(), "platform": platform.platform()}
     for package in PACKAGES:

@@ -1,4 +1,4 @@
-"""SSP files as scenarios: a scenario.json with the FMUs, and the place of each part in the SSP."""
+"""SSP files as scenarios: a scenario.json with FMUs, and for each part its element in the SSP."""
 
 from __future__ import annotations
 
@@ -27,20 +27,21 @@ from cosim.system.system import build_system
 if TYPE_CHECKING:
     from cosim.ssp.read import Element, SspSystem
 
-FOLDER, SCENARIO = SYSTEM, "scenario.json"  # inside the results folder
+FOLDER, SCENARIO = SYSTEM, "scenario.json"  # names inside the results folder
 STOP, STEP = 1.0, 0.01  # defaults [s] if neither the SSP nor its FMUs declare a value
-IMPORTERS = Jacobi()  # the coupling algorithm of libcosim, ecos and FMPy
+IMPORTERS = Jacobi()  # coupling algorithm of libcosim, ecos and FMPy
 
 
 def is_ssp(path: Path) -> bool:
-    """Return whether a file is an SSP, by name or content."""
+    """Return True if a file is an SSP, by its suffix or content."""
     return kind_by_form(path) == SSP
 
 
 def lay_out(path: Path, folder: Path, overrides: Sequence[str] = ()) -> tuple[ScenarioFile, list[str]]:
-    """Write an SSP's scenario and FMUs to `folder`/system.
+    """Write the scenario and the FMUs of an SSP to `folder`/system.
 
-    The files of an earlier run are removed. A faulty SSP raises InputError with all faults before anything is written.
+    The files of an earlier run are removed. For a faulty SSP, InputError with all faults is raised before a file is
+    written.
 
     Returns:
         The scenario file and warnings.
@@ -49,7 +50,7 @@ def lay_out(path: Path, folder: Path, overrides: Sequence[str] = ()) -> tuple[Sc
 
     with open_package(path) as package, temporary_folder("ssp") as scratch:
         system = SspSystem(package)
-        files: dict[str, Path] = {}  # by unique names
+        files: dict[str, Path] = {}  # unique name → file
         for fmu in dict.fromkeys(part.fmu for part in system.parts.values()):
             files[unique_name(fmu.stem, files, fmu.suffix)] = fmu
         warnings = list(system.warnings)
@@ -57,7 +58,7 @@ def lay_out(path: Path, folder: Path, overrides: Sequence[str] = ()) -> tuple[Sc
         scenario, places = _scenario(system, files, warnings, keys)
 
         def fault(location: Location, message: str, exit_code: int = 2) -> Fault:
-            """Return the fault of a part at its element of the SSP."""
+            """Return a fault of a part, with the file and place of its element in the SSP."""
             parts = (location[:end] for end in range(len(location), 0, -1))
             element = next((places[part] for part in parts if part in places), None)
             if element is None:
@@ -76,7 +77,7 @@ def lay_out(path: Path, folder: Path, overrides: Sequence[str] = ()) -> tuple[Sc
         elif not faults:
             faults.append(system.element.fault("it has no FMU, so there is nothing to run"))
         if faults:
-            if package.packed:  # its temporary folder
+            if package.packed:  # true for a temporary folder
                 faults = [
                     replace(f, message=f.message.replace(f"{package.folder}/", f"{package.shown}/")) for f in faults
                 ]
@@ -132,7 +133,7 @@ def _scenario(
 def _times(system: SspSystem, warnings: list[str], overrides: Set[str]) -> tuple[float, float, float]:
     """Return start, duration and communication step [s].
 
-    Defaulted values add a warning, unless `overrides` contains their key.
+    If a default is used, a warning is added, unless `overrides` contains the key.
     """
 
     start, stop, step = system.start or 0.0, system.stop, system.step

@@ -1,4 +1,4 @@
-"""Results of `run` and `simulate`, read from files or in memory: signals by name, data frames, figures and text."""
+"""Results of `run` and `simulate`, in files or in memory: signals by name, data frames, figures and text."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-MAX_LINES = 8  # signals in the short text; further signals are counted
+MAX_LINES = 8  # signals in the short text; further signals are counted only
 LONGEST_TEXT = 40  # characters of a value in a table
 WANTED = "the folder of a run or a table of its rows"
 
@@ -45,7 +45,7 @@ class Signals:
 
     Attributes:
         title: Name of the run.
-        folder: Folder of its files; None if nothing was written.
+        folder: Folder with the files of the run; None if no files were written.
     """
 
     title: str
@@ -59,12 +59,12 @@ class Signals:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the numeric signals, `component.variable`."""
+        """Return the names of the numeric signals, `component.variable`."""
         return self.results.columns
 
     @property
     def units(self) -> Mapping[str, str]:
-        """Unit of each signal, "" for none."""
+        """Return signal → unit, "" without unit."""
         return self.results.units
 
     def __len__(self) -> int:
@@ -97,7 +97,7 @@ class Signals:
         return frame
 
     def plot(self, *names: str) -> Figure:
-        """Return a matplotlib figure of the signals; signals of one unit share an axis."""
+        """Return a matplotlib figure of the named signals (default: the first ones); signals of one unit share axes."""
         for name in names:
             self[name]
         from cosim.simulation.report.figures import sheet
@@ -131,7 +131,7 @@ class Signals:
         return f"{self.title}: {counted(len(self.names), 'signal')}, {counted(len(self), 'row')}{end}"
 
     def _ends(self, name: str) -> tuple[str, str]:
-        """Return the first and the last value as texts."""
+        """Return the first and the last value of a signal as texts."""
         exact = self.results.exact.get(name)
         values = self.results[name] if exact is None else exact
         if not len(values):
@@ -156,7 +156,7 @@ class Signals:
 
     @property
     def _sentences(self) -> list[str]:
-        """Sentences on the outcome."""
+        """Return sentences on the outcome of the run."""
         return []
 
 
@@ -168,22 +168,22 @@ class Run(Signals):
 
     @property
     def criteria(self) -> list[dict[str, Any]]:
-        """Return each criterion with value, limit and outcome."""
+        """Return the criteria of the run, each with value, limit and outcome."""
         return list(self.manifest.get("criteria") or ())
 
     @property
     def missed(self) -> list[dict[str, Any]]:
-        """Return the missed criteria."""
+        """Return the criteria that the run missed."""
         return [c for c in self.criteria if not c["met"]]
 
     @property
     def warnings(self) -> list[str]:
-        """Warnings of the run."""
+        """Return the warnings of the run."""
         return list(self.manifest.get("warnings") or ())
 
     @property
     def report(self) -> Path | None:
-        """Path of report.html; None if it was not written."""
+        """Return the path of report.html; None if it was not written."""
         page = None if self.folder is None else self.folder / "report.html"
         return page if page is not None and page.is_file() else None
 
@@ -195,7 +195,7 @@ class Run(Signals):
 
     @property
     def validity(self) -> list[str]:
-        """Return a sentence for each FMU with a record of credibility: the share of the time within its logs."""
+        """Return a sentence on the time within the logs, for each FMU with a record of credibility."""
         from cosim.credibility.validity import validity_sentence
 
         entries = self.manifest.get("validity") or {}
@@ -203,14 +203,14 @@ class Run(Signals):
 
 
 def run_of(results: Results, manifest: Mapping[str, Any], folder: Path | None) -> Run:
-    """Return a run named after its scenario."""
+    """Return a run with the name of its scenario."""
     scenario = manifest.get("scenario")
     name = scenario.get("name") if isinstance(scenario, Mapping) else None
     return Run(str(name or (folder.name if folder else "run")), results, folder, manifest)
 
 
 def read_run(path: Path) -> Run | Signals:
-    """Return the run in a folder or the signals of a table; raise InputError if none."""
+    """Return the run in a folder, or the signals in a table; raise InputError if there are none."""
     ran = read_ran(path)
     for text in (t for t in ran.warnings if not isinstance(t, Note)):
         warnings.warn(printable(text), stacklevel=2)
@@ -219,7 +219,7 @@ def read_run(path: Path) -> Run | Signals:
 
 @dataclass(frozen=True)
 class RecordedRun:
-    """Results read from files, with their path, their name, the manifest if there is one, and warnings on it."""
+    """Results read from files, with path and name, warnings about the files, and the manifest if there is one."""
 
     path: Path
     name: str
@@ -229,13 +229,13 @@ class RecordedRun:
 
     @property
     def criteria(self) -> list[dict[str, Any]]:
-        """Return the evaluated criteria."""
+        """Return the evaluated criteria in the manifest."""
         entries = self.manifest.get("criteria")
         return [c for c in entries if isinstance(c, dict)] if isinstance(entries, list) else []
 
 
 def read_ran(path: Path) -> RecordedRun:
-    """Return results of a path; raise InputError if none, also if they are removed meanwhile."""
+    """Return the results at a path; raise InputError if there are none, also if they have just been removed."""
     try:
         path = newest_run(path)
         if not path.exists():

@@ -1,4 +1,4 @@
-"""Stopped and finished runs in their folders, from which `cosim run FOLDER --resume` and `--until` go on.
+"""Stopped and finished runs in their folders, from which `cosim run FOLDER --resume` and `--until` continue.
 
 results/NAME/checkpoint/run.json   manifest of the run before its outcome
                         state      last checkpoint
@@ -55,22 +55,22 @@ ROWS_OF_ANOTHER_RUN = (
 STOPPED_BEFORE_ROWS = "its run was stopped before its first row or checkpoint; run the scenario again from its start"
 
 FOLDER, RUN, MANIFEST = "checkpoint", "run.json", "manifest.json"
-PATIENCE, PAUSE = 15.0, 0.05  # time [s] for the worker of a killed command to end, and between two looks
-EXTRA = "files"  # key of run.json beside those of a manifest: name of the rows file, warnings of an SSP
+PATIENCE, PAUSE = 15.0, 0.05  # time [s] to wait for the worker of a killed command, and between two checks
+EXTRA = "files"  # key of run.json with entries that a manifest does not have: name of the rows file, warnings of an SSP
 EXTRA_KIND = {"rows": str, "warnings": [str]}
 
 
 @dataclass(frozen=True)
 class StoppedRun:
-    """A run in its folder.
+    """A stopped or finished run, read from its folder.
 
     Attributes:
         source: File of the record: checkpoint/run.json or manifest.json.
         record: Manifest.
-        rows_file: Name of the file of the rows.
-        state: File of the last checkpoint as bytes, if any.
-        checkpoint: Its content.
-        lasted: Wall time [s] of the steps so far, if known.
+        rows_file: Name of the file with the rows.
+        state: Content of the last checkpoint's file as bytes, if any.
+        checkpoint: Last checkpoint, read from `state`.
+        lasted: Wall time [s] of the steps so far, if it is recorded.
     """
 
     folder: Path
@@ -85,7 +85,7 @@ class StoppedRun:
         """Return the manifest without timings and outcome.
 
         Args:
-            warnings: Warnings of the system; None for those of the record.
+            warnings: Warnings of the system; None for the recorded ones.
         """
         record = copy.deepcopy(self.record)
         for key in ("no_report", EXTRA):
@@ -95,24 +95,24 @@ class StoppedRun:
 
     @property
     def warnings(self) -> list[str]:
-        """Return warnings from outside the scenario."""
+        """Return the warnings that do not come from the scenario."""
         return list(self.record.get(EXTRA, {}).get("warnings", ()))
 
     def solver_steps(self, system: System) -> dict[str, float]:
-        """Return the longest steps [s] that solvers of model exchange had so far, where they depend on the end."""
+        """Return component → longest solver step [s] so far, where this default depends on the stop time."""
         start = self._first.start_time
         stop = start + self._first.step * self._first.steps  # as the master computes it
         exchanged: list[Any] = [stage.component for stage in system.stages if is_exchange(stage.component)]
         return {c.name: (stop - start) / LONGEST for c in exchanged if c.instance.longest is None}
 
     def scenario(self, until: float | None, solver_steps: Mapping[str, float] = MappingProxyType({})) -> ScenarioFile:
-        """Return the scenario, ending at `until` [s] if given.
+        """Return the scenario, with the stop time `until` [s] if it is not None.
 
         Args:
             solver_steps: Component → longest step of its solver [s].
 
         Raises:
-            InputError: The end is not later than the run so far.
+            InputError: `until` is not later than the last row.
         """
         start = self.record["scenario"].get("start_time", 0.0)
         overrides = [] if until is None else [f"duration={until - start!r}"]
@@ -126,17 +126,17 @@ class StoppedRun:
 
     @property
     def end(self) -> int:
-        """Return the last communication point of the run so far."""
+        """Return the last communication point of the scenario so far."""
         return self._first.steps
 
     @cached_property
     def _first(self) -> Scenario:
-        """Scenario of the run so far."""
+        """Return the scenario of the run so far."""
         return ScenarioFile(self.source).scenario
 
     @cached_property
     def _results(self) -> Results:
-        """Results; InputError if there are none."""
+        """Return the results so far; raise InputError if there are none."""
         rows = rows_in(self.folder)
         if rows is None:
             raise InputError.at(self.folder, NOTHING_TO_RESUME if self.state is None else ROWS_OF_ANOTHER_RUN)
@@ -144,16 +144,16 @@ class StoppedRun:
 
     @property
     def _reached(self) -> float:
-        """Time [s] of the last checkpoint or row."""
+        """Return the time [s] of the last checkpoint or row."""
         if self.state is not None:
             return float(self.checkpoint["time"])
         return float(self._results.time[-1]) if len(self._results.time) else -math.inf
 
     def start(self, system: System, scenario: Scenario) -> Continuation | None:
-        """Return rows and state to go on from; None if the run begins again, because its rows are recorded in part.
+        """Return rows and state from which the run continues; None if it must start again, as rows are missing.
 
         Raises:
-            InputError: The run is finished, or its files do not belong together.
+            InputError: The run is finished, or its files do not fit together.
         """
         kept = self.folder / FOLDER
         count = self.checkpoint["point"] + 1 if self.checkpoint else 0
@@ -170,7 +170,7 @@ class StoppedRun:
             results, rows = self._results, self.folder / self.rows_file
             expected = scenario.start_time + scenario.step * np.arange(len(results.time), dtype=np.float64)
             on_grid = np.abs(results.time - expected) <= roundings(expected, scenario.step)
-            complete = len(results.time) if on_grid.all() else int(np.argmin(on_grid))  # An FMU may end a run between.
+            complete = len(results.time) if on_grid.all() else int(np.argmin(on_grid))  # an FMU may end between
             count = count or complete
             if not complete:
                 raise InputError.at(rows, STOPPED_BEFORE_ROWS)
@@ -199,10 +199,10 @@ class StoppedRun:
 
 
 def open_stopped(path: Path, stack: ExitStack) -> StoppedRun:
-    """Return the run in a folder, which no other command writes into until the stack is closed.
+    """Return the run in a folder, and lock the folder against other commands until the stack is closed.
 
     Raises:
-        InputError: The folder holds no run to go on with, or a checkpoint that is damaged or of another version.
+        InputError: The folder contains no run to continue, or a checkpoint that is damaged or of another version.
     """
     folder = path.parent if path.name == MANIFEST and path.is_file() else newest_run(path)
     if not folder.is_dir():
@@ -242,7 +242,7 @@ def open_stopped(path: Path, stack: ExitStack) -> StoppedRun:
 
 
 def _wait_for_worker(kept: Path) -> None:
-    """Wait for the end of a killed command's worker."""
+    """Wait until the worker of a killed command has ended."""
     path = kept / IN_USE
     for _ in range(round(PATIENCE / PAUSE)):
         if not path.is_file():
@@ -256,16 +256,16 @@ def _wait_for_worker(kept: Path) -> None:
 
 
 def remove_checkpoints(folder: Path) -> None:
-    """Remove the checkpoints of another run, once its worker has ended."""
+    """Remove the checkpoints of another run, after its worker has ended."""
     _wait_for_worker(folder / FOLDER)
     shutil.rmtree(folder / FOLDER, ignore_errors=True)
 
 
 def write_run(folder: Path, record: Mapping[str, Any], rows_file: str, warnings: Sequence[str]) -> Path:
-    """Write the record; return the folder of checkpoints.
+    """Write run.json; return the folder of checkpoints.
 
     Args:
-        warnings: Those of the record that do not come from the scenario.
+        warnings: Warnings in the record that do not come from the scenario.
     """
     kept = folder / FOLDER
     kept.mkdir(exist_ok=True)
@@ -276,11 +276,11 @@ def write_run(folder: Path, record: Mapping[str, Any], rows_file: str, warnings:
 
 
 def end_keeping(folder: Path, *, is_kept: bool, keeps_rows: bool = False) -> None:
-    """Remove what the files of results replace.
+    """Remove checkpoint files that the results make unnecessary.
 
     Args:
-        is_kept: Whether the folder has checkpoints of this run, not of another one.
-        keeps_rows: Whether the rows stay, because the results have a part of them.
+        is_kept: True if the checkpoints in the folder belong to this run.
+        keeps_rows: True if the rows are kept, because the results contain only a part of them.
     """
     kept = folder / FOLDER
     if not is_kept:

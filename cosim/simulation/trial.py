@@ -1,4 +1,4 @@
-"""Trials: `cosim check` reads FMUs, scenarios, manifests and SSPs and steps them once; the effect of half the step."""
+"""Trials: `cosim check` reads FMUs, scenarios, manifests and SSPs and tries a step; effect of halving the step."""
 
 from __future__ import annotations
 
@@ -31,16 +31,16 @@ from cosim.simulation.packaged import lay_out
 from cosim.system.recording import recording_notes
 from cosim.system.system import System, build_system
 
-MAX_CALL_TIME = 60.0  # allowed time [s] of a call during the trial of an FMU
-MOST_INNER_STEPS = 10_000  # of an FMU with a fixed internal step, so that the trial is short
-STEP, STEPS = 0.01, 500  # step [s] without a default experiment, and steps in an experiment without step size
+MAX_CALL_TIME = 60.0  # time limit of a call during the trial of an FMU [s]
+MOST_INNER_STEPS = 10_000  # internal steps of an FMU with a fixed internal step during the trial
+STEP, STEPS = 0.01, 500  # step [s] without default experiment; number of steps if an experiment has no step size
 
 
 def check_fmu(path: Path, checking: Checking) -> list[str]:
-    """Return violations of FMI rules, and warnings of a step that a worker tries.
+    """Return messages on violations of FMI rules and, with a worker, warnings of a tried step.
 
     Raises:
-        InputError: The FMU cannot be read or run; mere violations of rules are no faults.
+        InputError: The FMU cannot be read or run. Violations of rules alone are not faults.
     """
     notes, worker = list[str](), checking.worker
     if not path.is_file():
@@ -72,12 +72,12 @@ def check_fmu(path: Path, checking: Checking) -> list[str]:
         notes += [f"warning: {sentence}" for sentence in misbehaviour(path)]
     if problem := read_credibility(path).problem:
         notes.append(f"warning: {problem}")
-    # FMPy's findings are about a readable FMU, as accepted by importing tools.
+    # FMPy's findings concern an FMU that importing tools accept, so they are not faults.
     return notes + [f"warning: {problem}" for problem in validation(path, description)]
 
 
 def check_scenario(path: Path, checking: Checking) -> list[str]:
-    """Check a scenario or manifest; return warnings. With a worker, the first step is tried too.
+    """Check a scenario or manifest; return warnings. With a worker, also try the first step.
 
     Raises:
         InputError: The file has faults.
@@ -88,7 +88,7 @@ def check_scenario(path: Path, checking: Checking) -> list[str]:
 
 
 def check_ssp(path: Path, checking: Checking) -> list[str]:
-    """Check an SSP; return warnings. With a worker, the first step is tried too.
+    """Check an SSP; return warnings. With a worker, also try the first step.
 
     Raises:
         InputError: The SSP has faults.
@@ -104,7 +104,7 @@ def check_ssp(path: Path, checking: Checking) -> list[str]:
 
 
 def _check(file: ScenarioFile, path: Path, worker: Worker | None, warnings: Sequence[str]) -> list[str]:
-    """Return the given warnings, those of the system, and with a worker those of a first step."""
+    """Return `warnings`, warnings of the system and, with a worker, warnings of the first step."""
     system, said = build_system(file), list[str]()
     if worker is not None:
         system = with_feedthrough(file, system, worker)
@@ -147,11 +147,11 @@ def _run_once(file: ScenarioFile, system: System, path: Path, worker: Worker) ->
 
 @dataclass(frozen=True)
 class CouplingError:
-    """Largest difference between a run and its halved run per connected signal, in the signal's unit.
+    """Largest difference of each connected signal, in its unit, between a run and a run with half the step.
 
     Attributes:
         of: Signal → largest difference.
-        stopped: Reason for missing differences.
+        stopped: Reason why differences are missing; "" if none are missing.
     """
 
     of: Mapping[str, float]
@@ -159,7 +159,7 @@ class CouplingError:
 
     @property
     def sentence(self) -> str:
-        """Return the result as one sentence."""
+        """Return the result in one sentence."""
         if self.stopped:
             return f"coupling error not known: with half the step {self.stopped}"
         sizes = ", ".join(f"{name} {value:.2g}" for name, value in self.of.items())
@@ -168,7 +168,7 @@ class CouplingError:
 
 
 def coupling_error(scenario: FilePath, overrides: Sequence[str] = (), *, in_process: bool = False) -> CouplingError:
-    """Compare a scenario without noise at full and half step.
+    """Simulate a scenario without noise at full and at half step, and return the differences.
 
     FMUs run in a worker process within the limits of the scenario.
 

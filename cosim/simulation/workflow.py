@@ -61,19 +61,19 @@ from cosim.simulation.stopped_run import (
 from cosim.system.system import System, build_system
 
 VERB = "cosim run"
-MANY_VALUES = 10_000_000  # of CSV, above which a note offers Parquet
-COMPILED = "compile"  # key of a manifest: sources of FMUs may be compiled when the run goes on
+MANY_VALUES = 10_000_000  # values in a CSV file above which a note proposes Parquet
+COMPILED = "compile"  # key of a manifest: True if a resumed run may compile sources of FMUs
 
 
 @dataclass
 class _Prepared:
-    """A run before its steps.
+    """A run that is ready to be stepped.
 
     Attributes:
         record: Manifest without timings and outcome.
-        warnings: Warnings from outside the scenario.
+        warnings: Warnings that do not come from the scenario.
         changes: Changes by observers before the run was stopped.
-        start: Where a stopped run goes on; None for a new run.
+        start: Rows and state from which a stopped run continues; None for a new run.
     """
 
     file: ScenarioFile
@@ -135,7 +135,7 @@ def run(
         The signals, the manifest and the criteria.
 
     Raises:
-        InputError: Every fault of the input.
+        InputError: The input is wrong; the error names all faults.
         FmuError: An FMU cannot be read or loaded.
         SimulationError: The simulation failed; the rows so far are in `out`.
     """
@@ -153,7 +153,7 @@ def run(
             check_form(path, artefact.SCENARIO, artefact.MANIFEST)  # before the worker is started
         worker = None if in_process else stack.enter_context(Worker(*MODULES))
         if worker is not None:
-            worker.start()  # The worker starts up while files are read.
+            worker.start()  # starts in parallel to the reading of files
         software = stack.enter_context(ThreadPoolExecutor(1)).submit(software_versions)  # parallel to the loading
         if goes_on:
             prepared = _prepare_stopped(path, until, worker, tell, stack)
@@ -216,7 +216,7 @@ def run(
         is_longer = start is None or len(results.time) > start.count
         if failure is not None and not is_longer and rows_in(place) is not None:
             failure.left = place
-            raise failure  # What is there stays.
+            raise failure  # files that are already written stay
         record = copy.deepcopy(prepared.record)
         record["loop"] = results.loop
         simulated = scenario_.duration if start is None else (scenario_.steps + 1 - start.count) * scenario_.step
@@ -230,7 +230,7 @@ def run(
         if failure is None:
             record["criteria"] = evaluate(scenario_, results, validity)
             steps = results.details.get("steps", {})
-            if missed := steps.get("missed"):  # the shortest of controlled steps have a larger error
+            if missed := steps.get("missed"):  # some steps of the least length have too large an error
                 limits = {"value": missed["error"], "max": steps["tolerance"], "unit": ""}
                 record["criteria"].append({"kind": "step_error", "of": missed["signal"], **limits, "met": False})
         else:
@@ -263,7 +263,7 @@ def overrides_of(settings: Given | None, seed: int | None, pace: float | None) -
 
 @contextmanager
 def _scenario_file(scenario: FilePath | Mapping[str, Any]) -> Iterator[Path]:
-    """Yield the file of a scenario; the content of a mapping goes to a temporary file."""
+    """Yield the file of a scenario; a mapping is written to a temporary file."""
     if not isinstance(scenario, Mapping):
         yield Path(scenario)
         return
@@ -288,10 +288,10 @@ def _prepare_stopped(
     tell: Callable[[str], None],
     stack: ExitStack,
 ) -> _Prepared:
-    """Return a stopped run; tell how it goes on.
+    """Return a stopped run that is ready to continue; `tell` shows how it continues.
 
     Args:
-        stack: Keeps the folder, and the permission to compile sources if the run began with it.
+        stack: Stack that holds the lock of the folder and the permission of the run to compile sources.
     """
     stopped = open_stopped(path, stack)
     file = stopped.scenario(until)
@@ -351,21 +351,21 @@ def _write_files(
     """Write all files of a run, without the rows if the disk is full.
 
     Args:
-        failure: Failure of the run.
-        state: Last state of a failed run, if any.
+        failure: Error because of which the run stopped, if any.
+        state: Content of the checkpoint of a stopped run, if any.
         record: Manifest.
-        is_kept: Whether the folder has checkpoints of the run.
+        is_kept: True if the folder contains checkpoints of the run.
 
     Returns:
-        The failure of the run or of the disk, if any.
+        The error of the run, or of a full disk, if any.
     """
     rows, has_rows = prepared.place / prepared.rows_file, False
     record["rows"] = len(results.time)
-    hold_stops()  # also where no worker made the steps
+    hold_stops()  # needed if no worker made the steps
     try:
         results.write(rows)
         has_rows = True
-        rows.with_name("report.html").unlink(missing_ok=True)  # of the run before it went on
+        rows.with_name("report.html").unlink(missing_ok=True)  # report of the run before it was resumed
         write_json(rows.with_name(MANIFEST), record)
         is_part = prepared.system.recording is not None
         end_keeping(rows.parent, is_kept=is_kept, keeps_rows=is_part)
@@ -390,7 +390,7 @@ def _write_files(
         before = "" if failure is None or isinstance(failure, DiskFull) else f"; before that {failure}"
         reason = f"the disk is full: {len(results.time) if has_rows else 0} rows are in {rows.name}{before}"
         return DiskFull("the run", at, reason)
-    except (KeyboardInterrupt, Terminated) as stop:  # All files but the report are written.
+    except (KeyboardInterrupt, Terminated) as stop:  # all files except the report are written
         hold_stops()
         if failure is not None:
             return failure
@@ -402,5 +402,5 @@ def _write_files(
         write_json(rows.with_name(MANIFEST), record)
         return stopped
     finally:
-        hold_stops()  # The end must still be reported.
+        hold_stops()  # the end of the run must still be reported
     return failure

@@ -30,7 +30,7 @@ ARTEFACTS = (
     Artefact(
         TABLE,
         "`cosim.read` reads its folder in Python; `cosim sweep SWEEP.yaml` makes one",
-        beside=("sweep.parquet", "sweep.parquet"),  # by name only; other Parquet files are logs
+        beside=("sweep.parquet", "sweep.parquet"),  # only this name; other Parquet files are logs
     ),
     Artefact(
         "a database",

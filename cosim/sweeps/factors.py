@@ -1,4 +1,4 @@
-"""Factors of a sweep: values or distributions from the file, with all faults."""
+"""Factors of a sweep: values or distributions from the file, with all their faults."""
 
 from __future__ import annotations
 
@@ -24,16 +24,16 @@ from cosim.sweeps.sampling import MOST_RUNS, Factor, are_numbers, distribution, 
 from cosim.sweeps.sweep_file import DISTRIBUTIONS, SweepFile, Varied
 from cosim.system.system import System, build_system
 
-FIXED = ("duration", "start_time", "criteria", "name", "description", "limits")  # keys common to all runs
+FIXED = ("duration", "start_time", "criteria", "name", "description", "limits")  # keys that must be equal in all runs
 FILES = ("fmu", "file")  # last keys of paths to file names
-NOT_REAL = ("Boolean", "String", "Enumeration", "Integer")  # types of FMI without distributions
-MAX_TESTED_VALUES = 50  # values of a path tested before any run
+NOT_REAL = ("Boolean", "String", "Enumeration", "Integer")  # FMI types for which distributions are not allowed
+MAX_TESTED_VALUES = 50  # values of a path that are tested before the first run
 Location = tuple[str | int, ...]
-STANDARD_DEVIATION: Location = ("normal", 1)  # Second number of a normal distribution; the mean is ("normal", 0).
+STANDARD_DEVIATION: Location = ("normal", 1)  # second number of `normal`; the first is the mean
 
 
 def resolve_file_name(sweep: Path, name: str, value: Any) -> Any:
-    """Return a path's value; file names are relative to the sweep."""
+    """Return a value for a path of the scenario; a file name, relative to the sweep file, becomes absolute."""
     last = name.rpartition(".")[2]
     return str((sweep.parent / value).resolve()) if last in FILES and isinstance(value, str) else value
 
@@ -56,7 +56,7 @@ class Factors:
         sampled = sum(v.way in DISTRIBUTIONS for v in file.vary.values())
         rows = drawn_rows(sampled, any(v.each is not None for v in file.vary.values()), file.runs, file.sampling)
         count = math.prod(listed.values()) * rows
-        if count > MOST_RUNS:  # before anything is allocated
+        if count > MOST_RUNS:  # checked before anything is allocated
             largest = max(listed, key=lambda n: listed[n], default="")
             in_list = bool(listed) and (not sampled or listed[largest] > file.runs)
             where: Location = ("vary", largest) if in_list else ("runs",)
@@ -79,7 +79,7 @@ class Factors:
         self.faults.append(self.yaml.fault(where, text, key=key, exit_code=exit_code))
 
     def _factor(self, name: str, varied: Varied) -> Factor | None:
-        """Return a factor; note faults and return None if invalid."""
+        """Return a factor; if it is invalid, record faults and return None."""
         before, where = len(self.faults), ("vary", name)
         first, _, variable = name.partition(".")
         if name == "seed":
@@ -108,8 +108,8 @@ class Factors:
         variables = {} if block is None else {v.name: v for v in block.description.modelVariables}
         variable = variables.get(variable_name)
         if block is None or variable is None or not settable(variable) or variable.shape:
-            text = f"{name} has no number here; vary its path in the scenario, such as components.NAME.…, by values"
-            faults, _ = self._test_variant(f"components.{component}.start.{variable_name}=0")  # says why
+            text = f"{name} takes no number here; vary a path of the scenario, such as components.NAME.…, by values"
+            faults, _ = self._test_variant(f"components.{component}.start.{variable_name}=0")  # why not
             self._note(("vary", name), faults[0].message if faults else text, key=True)
             return None
         if variable_name in block.connected:
@@ -119,7 +119,7 @@ class Factors:
         def convert(where: Location, entry: Any) -> Any:
             if where != STANDARD_DEVIATION:
                 return convert_value(block.description, variable, entry)
-            # The bounds and the unit's offset do not apply to a standard deviation.
+            # Bounds and the unit's offset do not apply to a standard deviation.
             is_text = isinstance(entry, str)
             return convert_quantity(block.description, variable, entry, difference=True) if is_text else entry
 
@@ -146,7 +146,7 @@ class Factors:
                 number = self._number_at(name, entry)
                 if (
                     where == STANDARD_DEVIATION and (quantity := split_quantity(entry)) is not None
-                ):  # without its offset
+                ):  # converted without the unit's offset
                     number = self._number_at(name, f"{2.0 * quantity[0]!r} {quantity[1]}") - number
             except ValueError:
                 if where[0] != "values":
@@ -157,7 +157,7 @@ class Factors:
         return self._make_factor(name, varied, convert)
 
     def _number_at(self, name: str, text: str) -> float:
-        """Return the number of text such as `4 ms` at a scenario path; raise ValueError if none."""
+        """Return the number of text such as `4 ms` at a scenario path; raise ValueError for other text."""
         try:
             varied = f"{name}={json.dumps(text)}"
             file = ScenarioFile(self.scenario.path, (*self.overrides, varied), option="")
@@ -185,7 +185,7 @@ class Factors:
     def _make_factor(
         self, name: str, varied: Varied, convert: Any, unit: str = "", *, is_real: bool = True
     ) -> Factor | None:
-        """Return a factor, with values converted by a function of (place, entry) that raises ValueError."""
+        """Return a factor, whose values `convert`, a function of (place, entry), converts; it may raise ValueError."""
 
         def value(where: Location, entry: Any) -> Any:
             try:
@@ -218,7 +218,7 @@ class Factors:
             return None
 
     def check_values(self, columns: Mapping[str, list[Any]]) -> None:
-        """Test the listed values of each path, and the extreme drawn values; note faults and warnings."""
+        """Test the listed values of each path, and the extreme drawn values; record faults and warnings."""
         for factor in self.factors:
             name, way = factor.name, self.file.vary[factor.name].way
             component, _, variable = name.partition(".")
@@ -240,11 +240,11 @@ class Factors:
                 self.warnings += [text for text in warnings if text not in known and not is_variable]
 
     def _note_overlaps(self) -> None:
-        """Note each entry of `vary` and `set` that a later entry overrides.
+        """Record a fault for each entry of `vary` and `set` that another entry overrides.
 
-        `vary` overrides `set`. A path includes everything below it. To set a whole and vary a part of it is allowed.
+        `vary` overrides `set`. A path includes all paths below it. An entry of `set` may contain an entry of `vary`.
         """
-        places: list[tuple[Location, tuple[str, ...]]] = []  # entry, and its place in the scenario
+        places: list[tuple[Location, tuple[str, ...]]] = []  # entry, and the path that it sets
         for section, names in (("set", self.file.set), ("vary", self.file.vary)):
             for name in names:
                 component, _, variable = name.partition(".")
@@ -256,7 +256,7 @@ class Factors:
         for (first, one), (second, two) in itertools.combinations(places, 2):
             counted = second == ("vary", "seed") and self.file.vary["seed"].count is not None
             both_vary = first[0] == second[0] == "vary"
-            # Counted seeds start from the seed in `set`.
+            # with `count`, seeds start at the seed in `set`
             if (two == one[: len(two)] and not counted) or (both_vary and one == two[: len(one)]):
                 line = self.yaml.place(second, key=True)[0]
                 text = f'{first[1]} and "{second[1]}" of line {line} give the same value; remove one of them'

@@ -1,4 +1,4 @@
-"""Where the runs of a sweep are made: in processes of this machine, or by the workers of a dask scheduler."""
+"""Execution of the runs of a sweep: in processes of this machine, or by the workers of a dask scheduler."""
 
 from __future__ import annotations
 
@@ -24,17 +24,17 @@ from cosim.isolation.process import Worker, start_together
 from cosim.sweeps.reading import Sweep
 from cosim.sweeps.runs import MODULES, Job, RunRequest, RunResult, make_run_apart, work_in
 
-ANSWER = 5  # time limit of a dask scheduler's answer [s]
-RUNS_PER_THREAD = 4  # requested at once from a dask cluster
-REQUESTED = 2  # runs for each process here: the one under way, and the next
+ANSWER = 5  # time limit for the answer of a dask scheduler [s]
+RUNS_PER_THREAD = 4  # runs per thread that are requested in advance from a dask cluster
+REQUESTED = 2  # runs per local process that are requested in advance: the current one and the next
 
-MOMENT = 0.5  # without a finished run [s], after which the runs so far are stored
+MOMENT = 0.5  # time without a finished run [s] after which finished runs are stored
 
 MakeRuns = Callable[[Iterable[RunRequest]], Iterator[RunResult | None]]  # None: no run has finished for a moment
 
 
 def make_runs_here(job: Job, workers: int | None, requests: Iterable[RunRequest]) -> Iterator[RunResult | None]:
-    """Yield the results of runs in processes of this machine, as they are finished, and None after a moment without.
+    """Yield the results of runs in processes of this machine as they finish, and None after a moment without one.
 
     Args:
         workers: Number of processes; None means one per core.
@@ -67,16 +67,16 @@ def make_runs_here(job: Job, workers: int | None, requests: Iterable[RunRequest]
 
 @contextmanager
 def dask_cluster(study: Sweep, address: str, place: Callable[[str], Fault]) -> Iterator[MakeRuns]:
-    """Yield a function that makes runs by the workers of a dask scheduler; a lost worker's runs are repeated.
+    """Yield a function that executes runs on the workers of a dask scheduler; runs of a lost worker are repeated.
 
-    A worker needs no path of this machine. It gets the scenario and the files of its components once, into a folder of
-    its own, each file below a hash of its content.
+    A worker does not need access to files of this machine: it gets the scenario and the files of its components once,
+    in a folder of its own. A file is stored in a folder named by the hash of its content.
 
     Raises:
         InputError: The scheduler does not answer or has no suitable workers.
     """
     distributed = optional("distributed", place)
-    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # cosim reports failures itself.
+    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # cosim reports failures
     folder, job, contents, places = f"cosim-{uuid4().hex}", study.job, dict[str, bytes](), dict[str, str]()
     for path in (job.scenario, *study.files):
         content = path.read_bytes()
@@ -88,7 +88,7 @@ def dask_cluster(study: Sweep, address: str, place: Callable[[str], Fault]) -> I
     plugin: Any = distributed.WorkerPlugin
 
     class Files(plugin):  # type: ignore[misc]  # distributed is untyped
-        """Files of a worker, also of one that is started during the sweep; pickled by value."""
+        """Plugin that copies the files to each worker, also one that starts during the sweep; pickled by value."""
 
         def setup(self, worker: Any) -> None:
             from cosim.core.version import __version__ as version
@@ -145,16 +145,16 @@ def dask_cluster(study: Sweep, address: str, place: Callable[[str], Fault]) -> I
         try:
             yield make_runs
         finally:
-            with suppress(Exception):  # a lost scheduler
+            with suppress(Exception):  # the scheduler may be lost
                 client.unregister_worker_plugin(folder)
 
 
 def make_run_of_dask(job: Job, request: RunRequest, folder: str, places: Mapping[str, str]) -> RunResult:
-    """Make a run in a worker of dask with its copies of the files.
+    """Execute a run in a worker of dask, with the worker's copies of the files.
 
     Args:
         folder: Folder of the copies within that of the worker.
-        places: Place in the folder by path in the job and in the request.
+        places: Path in the job or the request → path of the copy in the folder.
     """
     from distributed import get_worker
 

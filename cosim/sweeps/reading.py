@@ -1,4 +1,4 @@
-"""A sweep with its scenario and factors, whose faults have places and precede the runs, and its result in words."""
+"""Reading of a sweep with its scenario and factors, reporting all faults before the first run; results of a sweep."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ from cosim.sweeps.store import Runs
 from cosim.sweeps.sweep_file import SweepFile
 from cosim.system.system import System, build_system
 
-MAX_DEFAULT_SIGNALS = 8  # recorded by default
+MAX_DEFAULT_SIGNALS = 8  # signals recorded by default
 
 
 @dataclass(frozen=True)
@@ -45,9 +45,9 @@ class Sweep:
     Attributes:
         name: Name of the sweep, by default that of the scenario.
         count: Number of runs.
-        key: Hash of everything that determines the rows. A sweep of the same key can be continued.
-        component_files: File of each component by its path in the scenario, such as `components.plant.fmu`.
-        files: Files of all runs, also those that vary.
+        key: Hash of everything that determines the rows. A sweep is resumed only with the same key.
+        component_files: Path in the scenario, such as `components.plant.fmu` → file of the component.
+        files: Files of all runs, including files that vary.
     """
 
     yaml: YamlFile
@@ -66,7 +66,7 @@ class Sweep:
     files: Sequence[Path]
 
     def request_run(self, run: int) -> RunRequest:
-        """Return the request for a run."""
+        """Return the request for a run by its number."""
         overrides, starts, seed = [], dict[str, dict[str, Any]](), None
         for name, values in self.columns.items():
             value, (component, _, variable) = values[run], name.partition(".")
@@ -80,7 +80,7 @@ class Sweep:
 
 
 def check_sweep(path: Path, checking: Checking) -> list[str]:
-    """Return a sweep's warnings; InputError lists its faults."""
+    """Return the warnings of a sweep; raise InputError with all faults."""
     return [*map(with_severity, read_sweep(path, loads=checking.worker is not None).warnings)]
 
 
@@ -88,7 +88,7 @@ def read_sweep(path: Path, *, loads: bool = False) -> Sweep:
     """Read a sweep with its scenario; raise InputError with all faults.
 
     Args:
-        loads: Whether FMUs may be loaded, to measure undeclared dependencies with the values of the scenario.
+        loads: Allow loading FMUs, to measure undeclared dependencies with the values of the scenario.
     """
     check_given(path, SWEEP)
     yaml = YamlFile(path)
@@ -101,7 +101,7 @@ def read_sweep(path: Path, *, loads: bool = False) -> Sweep:
         scenario_file = ScenarioFile(scenario_path, overrides, option="")
         system = build_system(scenario_file)
     except InputError as error:
-        for f in error.faults:  # Faults with places in the scenario file keep them.
+        for f in error.faults:  # faults with places in the scenario file keep these places
             is_placed = f.line and f.file != path
             faults.append(f if is_placed else yaml.fault(("set",), f.message, exit_code=f.exit_code))
         raise InputError(faults) from None
@@ -109,7 +109,7 @@ def read_sweep(path: Path, *, loads: bool = False) -> Sweep:
     if loads and system.assumed:
         with Worker(*MODULES) as worker:
             system = with_feedthrough(scenario_file, system, worker)
-        scenario = scenario_file.scenario  # with the measured inputs
+        scenario = scenario_file.scenario  # includes the measured inputs
         measured = {name: getattr(component, "feedthrough", None) for name, component in scenario.components.items()}
         overrides += tuple(
             f"components.{name}.feedthrough={json.dumps(inputs)}"
@@ -168,10 +168,10 @@ def read_sweep(path: Path, *, loads: bool = False) -> Sweep:
 
 @dataclass(frozen=True, repr=False)
 class Swept(Runs):
-    """Result of a sweep; the record of a part has its own runs, with its name as `part`.
+    """Result of a sweep. For a part of a sweep, `record` describes the runs of the part, and has the key `part`.
 
     Attributes:
-        made: Number of runs of this call.
+        made: Number of runs that this call executed.
     """
 
     sweep: Sweep
@@ -179,7 +179,7 @@ class Swept(Runs):
 
     @property
     def sentences(self) -> list[str]:
-        """Results in words, one line each."""
+        """Return the results as sentences, one per line."""
         r = self.record
         rate = f", {r['runs_a_second']:.3g} runs a second" if r["runs_a_second"] else ""
         lines = [self.headline, f"{r['runs'] - r['failed']} of {counted(r['runs'], 'run')} completed{rate}"]
@@ -197,12 +197,12 @@ class Swept(Runs):
 
 
 def repeat_command(study: Sweep, run: int) -> str:
-    """Return the command that makes a run of a sweep by itself."""
+    """Return the command that repeats a single run of a sweep."""
     return shlex.join(["cosim", "run", str(study.yaml.path), "--case", str(run)])
 
 
 def case_of(path: Path, number: int) -> tuple[Path, list[str], int | None]:
-    """Return scenario, settings `path=value` and seed of a run of a sweep; raise InputError if it has no such run."""
+    """Return scenario, settings `path=value` and seed of a run of a sweep; raise InputError if there is no such run."""
     study = read_sweep(path)
     if not 0 <= number < study.count:
         raise InputError.at(Path("--case"), f"is {number}; {path.name} has the cases 0 … {study.count - 1}")

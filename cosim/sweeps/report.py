@@ -21,14 +21,14 @@ from cosim.sweeps.sweep_file import DISTRIBUTIONS, Grid
 
 TEMPLATE = Path(__file__).with_name("templates") / "sweep.html.j2"
 MOST_BANDS = 16
-MOST_RUNS = 20_000  # at most, for a band
+MOST_RUNS = 20_000  # runs from which a band over time is computed
 MOST_POINTS = 2000  # runs in a scatter plot
-MOST_SCATTERED = 4  # criteria with scatter plots, each over two factors
+MOST_SCATTERED = 4  # criteria with scatter plots, each plotted over two factors
 NEVER = "never"
 MOST_OTHERS = 24  # further scatter plots
-MOST_BINS, MOST_LINES = 60, 300  # of a histogram; of parallel coordinates
-MOST_LISTED = 10  # runs farthest from meeting a criterion
-MARK = 0.012  # width of the mark at what chance reaches
+MOST_BINS, MOST_LINES = 60, 300  # bars of a histogram; lines in parallel coordinates
+MOST_LISTED = 10  # runs farthest from meeting a criterion that are listed
+MARK = 0.012  # width of the mark at the chance level, as a share of the bar
 Criterion = Mapping[str, Any]
 
 
@@ -45,7 +45,7 @@ def page(swept: Swept) -> str:
     varied, saltelli = {n: v for n, v in study.columns.items() if n != "seed"}, study.file.sampling == "saltelli"
     estimates = (sensitivity(n, v, varied, saltelli=saltelli, seed=study.file.seed) for n, v in outcomes.items())
     indices = [s for s in estimates if s is not None]
-    # Criteria that every completed run meets are left out of the sensitivities. Without others, the signals come first.
+    # Criteria that every completed run meets have no sensitivities. If there are no others, signals are first.
     missed = {c["name"] for c in criteria if c["met"] != c["of"]}
     first = [s for s in indices if s.outcome in missed]
     others = [s for s in indices if s.outcome not in values]
@@ -89,7 +89,7 @@ def page(swept: Swept) -> str:
 
 
 def _bar(value: float, low: float, high: float) -> Mapping[str, float]:
-    """Return a share and its interval in percent."""
+    """Return a share and its interval in percent, for a bar."""
     value, low, high = (round(100 * min(1.0, max(0.0, v)), 2) for v in (value, low, high))
     return {"value": value, "low": low, "width": round(high - low, 2)}
 
@@ -119,7 +119,7 @@ def _quantile_row(c: Criterion, values: Array) -> Sequence[str]:
 
 
 def _worst(swept: Swept, table: Any) -> list[Mapping[str, Any]]:
-    """Return the worst runs by the hardest criterion, first the runs that never meet this criterion."""
+    """Return the worst runs by the criterion that the fewest runs meet; runs with an undefined value are first."""
     criterion = hardest(swept.record)
     reached, runs = swept.criteria[criterion["name"]], table.column("run").to_pylist()
     completed = np.array(table.column("status").to_pylist()) == "ok"
@@ -136,7 +136,7 @@ def _worst(swept: Swept, table: Any) -> list[Mapping[str, Any]]:
 
 
 def _numeric_factors(swept: Swept) -> dict[str, tuple[Array, str]]:
-    """Return factor → value in each run, and unit, for numeric factors."""
+    """Return factor → (values in all runs, unit), for numeric factors."""
     units = {factor.name: factor.unit for factor in swept.sweep.factors}
     columns = swept.sweep.columns.items()
     return {n: (np.array(c, float), units[n]) for n, c in columns if n != "seed" and are_numbers(c)}
@@ -145,7 +145,7 @@ def _numeric_factors(swept: Swept) -> dict[str, tuple[Array, str]]:
 def _scatters(
     swept: Swept, table: Any, ranked: Mapping[str, Sequence[str]], charts: Charts
 ) -> tuple[list[Plot], list[Plot]]:
-    """Draw criteria over their two most important factors, and over the others; those that every run meets last."""
+    """Draw criteria over their two most important factors, and over the others; criteria met by all runs are last."""
     factors, criteria = _numeric_factors(swept), swept.record["criteria"]
     missed = [c for c in criteria if c["met"] != c["of"]] or criteria
     runs, plots, others = np.array(table.column("run").to_pylist(), int), list[Plot](), list[Plot]()
@@ -169,14 +169,14 @@ def _scatters(
 
 
 def _around(values: Array | Sequence[float], room: float) -> tuple[float, float]:
-    """Return the limits of an axis with room, as a share of the range, beyond the values."""
+    """Return limits of an axis that exceed the values by `room`, a share of their range."""
     low, high = float(np.min(values)), float(np.max(values))
     margin = room * (high - low) or 1.0
     return low - margin, high + margin
 
 
 def histograms(criteria: Sequence[Criterion], values: Mapping[str, Array], charts: Charts) -> list[Plot]:
-    """Draw the number of runs by the value of each criterion, with its limit."""
+    """Draw a histogram of each criterion's values over the runs, with the limit."""
     plots = []
     for c in criteria:
         unit, factor = display(c["unit"])
@@ -193,7 +193,7 @@ def histograms(criteria: Sequence[Criterion], values: Mapping[str, Array], chart
 def _parallel_coordinates(swept: Swept, table: Any) -> Mapping[str, Any] | None:
     """Return axes and lines of runs in parallel coordinates: numeric factors, then criteria that a run misses.
 
-    The rarer kind of runs comes last and lies above the other one. None if no run misses a criterion.
+    The rarer kind of runs is drawn last, above the other one. The result is None if no run misses a criterion.
     """
     criteria = [c for c in swept.record["criteria"] if c["met"] != c["of"]]
     runs = np.array(table.column("run").to_pylist(), int)
@@ -218,7 +218,7 @@ def _parallel_coordinates(swept: Swept, table: Any) -> Mapping[str, Any] | None:
 
 
 def _factor(swept: Swept, factor: Factor) -> Sequence[str]:
-    """Return name, unit, way of variation, values, and number of different values of a factor."""
+    """Return name, unit, kind of variation, values, and number of different values of a factor."""
     varied, values = swept.sweep.file.vary[factor.name], swept.sweep.columns[factor.name]
     entries: Any = getattr(varied, varied.way)
     if isinstance(entries, Grid):
@@ -229,10 +229,10 @@ def _factor(swept: Swept, factor: Factor) -> Sequence[str]:
 
 
 def _bands(signals: Mapping[str, Array], record: Mapping[str, Any], charts: Charts) -> list[Plot]:
-    """Draw the quantiles of the complete runs over time, shape of a signal (runs, times)."""
+    """Draw the quantiles of the complete runs over time, from signals of shape (runs, times)."""
     panels, times = [], np.array(record["times"], float)
     for name, values in signals.items():
-        if values.size and values.shape[1] == times.size:  # else no run is complete
+        if values.size and values.shape[1] == times.size:  # false if no run is complete
             q = np.quantile(values, QUANTILES, axis=0)
             lines = ("median", q[2], "true"), ("25 %", q[1], "reference"), ("75 %", q[3], "reference")
             band = ("5 … 95 % of the runs", q[0], q[4])
@@ -241,14 +241,14 @@ def _bands(signals: Mapping[str, Array], record: Mapping[str, Any], charts: Char
 
 
 def _indices(s: Sensitivity) -> Mapping[str, Any]:
-    """Return name, rank, bar, size and first-order index of each factor."""
+    """Return name, rank, bar, size and first-order index of each factor, for the template."""
 
     def pair(value: float, half: float) -> str:
         return f"{plain(value, 2)} ± {plain(half, 1)}"
 
     rows, ranks = [], {name: str(k) for k, name in enumerate(s.ranked, 1)}
     for k, name in enumerate(s.factors):
-        # without total indices, a mark at what chance reaches
+        # without total indices, the chance level is marked
         drawn, text = _bar(s.pawn[k], s.chance, s.chance + MARK), plain(s.pawn[k], 2)
         if s.total:
             size, half = s.total[k]

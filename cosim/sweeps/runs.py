@@ -1,6 +1,6 @@
-"""One run of a sweep: what a worker is sent, what it returns, and the run itself.
+"""A single run of a sweep: request to a worker, execution, and result.
 
-Requests and results are plain data, so that workers may run anywhere.
+Requests and results are plain data, so that workers can be on any machine.
 """
 
 from __future__ import annotations
@@ -38,16 +38,16 @@ from cosim.system.system import build_system
 
 MODULES = ("cosim.sweeps.runs", "fmpy.fmi2", "fmpy.logging")
 CACHED_SYSTEMS = 16  # assembled systems cached per worker
-UNKEPT = 1  # runs of a system before its libraries are kept
+UNKEPT = 1  # runs of a system before its libraries stay loaded
 NO_MESSAGES: Mapping[str, Any] = {"first": (), "last": (), "omitted": 0}
 
 
 @dataclass(frozen=True)
 class Job:
-    """Common settings of all runs: scenario, overrides, recorded signals with sample count, number of criteria.
+    """Settings common to all runs: scenario, overrides, recorded signals, number of samples and of criteria.
 
     Attributes:
-        watch: Limits of a run, and its components for messages about a stopped worker.
+        watch: Limits of a run, and names of components for messages about a stopped worker.
     """
 
     scenario: Path
@@ -59,7 +59,7 @@ class Job:
 
 
 def time_reached(start: float, step: float, rows: int, call: int) -> float:
-    """Return the simulated time [s] of a run with its start time, communication step, rows so far and current call."""
+    """Return the simulated time [s] from start time [s], communication step [s], rows so far and current call."""
     return start + step * (max(0, rows - 1) + (call == GET and rows > 0))
 
 
@@ -68,7 +68,7 @@ class RunRequest:
     """Request for a run: number, overrides, start values by component, and seed.
 
     Attributes:
-        own_copies: Whether the run must load copies of all libraries, which no earlier run has used.
+        own_copies: True if the run must load copies of all libraries that no earlier run has used.
     """
 
     run: int
@@ -84,9 +84,9 @@ class RunResult:
 
     Attributes:
         status: "ok", or the reason of failure.
-        values: Values of the criteria, NaN if undefined, e.g. for a settling time never reached.
-        met: Outcomes of the criteria.
-        signals: Samples, shape (signals, times), empty after a failure.
+        values: Values of the criteria; NaN if undefined, e.g. for a signal that never settles.
+        met: For each criterion, True if it is met.
+        signals: Samples, shape (signals, times); empty if the run failed.
         valid: Component → share of the time in the region of its logs, for FMUs with a record of credibility.
     """
 
@@ -102,12 +102,12 @@ _of_thread = threading.local()
 
 
 def work_in(worker: Worker) -> None:
-    """Let `make_run_apart` use this worker in this thread."""
+    """Let `make_run_apart` in this thread use a worker."""
     _of_thread.worker, _of_thread.runs, _of_thread.own_copies = worker, 0, False
 
 
 def make_run_apart(job: Job, request: RunRequest) -> RunResult:
-    """Make a run in a process of this thread, so that a crash or an exceeded limit fails this run only."""
+    """Execute a run in this thread's worker process, so that a crash or an exceeded limit fails only this run."""
     if not hasattr(_of_thread, "worker"):
         work_in(Worker(*MODULES))
     worker: Worker = _of_thread.worker
@@ -120,13 +120,13 @@ def make_run_apart(job: Job, request: RunRequest) -> RunResult:
         runs, _of_thread.runs = _of_thread.runs, 0
         if own_copies or runs < UNKEPT or not isinstance(error, Crashed | TimedOut):
             return _failed(job, request, error)
-        result = make_run_apart(job, replace(request, own_copies=True))  # The kept libraries may be the cause.
+        result = make_run_apart(job, replace(request, own_copies=True))  # libraries that stayed loaded may be the cause
         _of_thread.own_copies = result.status == "ok"
     return result
 
 
 def make_run(job: Job, request: RunRequest) -> RunResult:
-    """Make a run in this process; a failed run reports its reason."""
+    """Execute a run in this process; the result of a failed run contains the reason."""
     try:
         swept = assemble(job.scenario, (*job.overrides, *request.overrides))
         swept.keeps &= not request.own_copies
@@ -137,7 +137,7 @@ def make_run(job: Job, request: RunRequest) -> RunResult:
         return _failed(job, request, stop.error)
     except CosimError as error:
         if isinstance(error, SharedCode) and hasattr(here, "progress"):
-            raise  # Another process makes the run.
+            raise  # another process repeats the run
         return _failed(job, request, error)
     scenario = swept.scenario
     if len(results.time) <= scenario.steps:
@@ -152,21 +152,21 @@ def make_run(job: Job, request: RunRequest) -> RunResult:
 
 
 class SweptSystem:
-    """A system that a process simulates again and again.
+    """A system that a process simulates many times.
 
-    Loading takes longer than many a run, so libraries stay loaded from the second run on. Each run has new instances,
-    but a library may keep state of earlier runs. The third run is therefore repeated with copies of its own: if a
-    number differs, or a run with kept libraries fails, each run loads its own copies.
+    Loading may take longer than a run, so libraries stay loaded from the second run on. Each run has new instances, but
+    a library may keep state of earlier runs. The third run is therefore repeated with new copies of the libraries: if a
+    number differs, or if a run with loaded libraries fails, each run loads new copies.
 
     Attributes:
-        keeps: Whether libraries stay loaded.
+        keeps: True if libraries stay loaded.
     """
 
     def __init__(self, path: Path, overrides: tuple[str, ...]) -> None:
         file = ScenarioFile(path, overrides, option="")
         self.scenario, self.system = file.scenario, build_system(file)
         blocks = [s.component for s in self.system.stages if isinstance(s.component, FmuBlock)]
-        # In FMI 1.0, and where a process may have one instance, it cannot be made again.
+        # FMUs of FMI 1.0, and FMUs that allow one instance per process, cannot be instantiated again.
         single = any(getattr(b.instance.about, "canBeInstantiatedOnlyOncePerProcess", False) for b in blocks)
         self.keeps = not single and not self.system.apart and all(b.instance.version > 1 for b in blocks)
         self._uses = 0
@@ -191,7 +191,7 @@ class SweptSystem:
                 raise
             self.keeps = False
             return self.simulate(request, limits)
-        if self._uses == UNKEPT and limits.total is not None:  # of a run, also of the one that is repeated
+        if self._uses == UNKEPT and limits.total is not None:  # the limit applies to a run, including its repetition
             self.keeps &= 4.0 * (time.perf_counter() - begin) < limits.total
         if not has_kept or self._is_checked:
             return results
@@ -214,7 +214,7 @@ class SweptSystem:
                     component.start_values = starts
                     component.log.restore(NO_MESSAGES)
                 else:
-                    # Instances in Python share code only; other libraries may keep state of an earlier run.
+                    # Instances in Python share only code; other libraries may keep state of an earlier run.
                     place = _unpack_once(component.path) if component.nominal_step else None
                     component = component.with_start_values(starts, place)
                     if self.keeps and self._uses > UNKEPT and not own_copies:
@@ -225,7 +225,7 @@ class SweptSystem:
         rows = Rows.in_memory(scenario.steps + 1, len(system.columns))
         progress = getattr(here, "progress", None)
         if progress is not None:
-            progress.made[0] = 0  # clears the count of the previous run
+            progress.made[0] = 0  # resets the count of the previous run
             rows = replace(rows, made=progress.made, doing=progress.doing)
             system = in_own_processes(system, limits)
             for stage in system.stages:
@@ -234,12 +234,12 @@ class SweptSystem:
 
 
 def _is_stop(error: StoppedRun | CosimError) -> bool:
-    """Return whether a run was stopped from the keyboard."""
+    """Return True if a run was stopped from the keyboard."""
     return (error.error if isinstance(error, StoppedRun) else error).exit_code == 130
 
 
 def _unload(kept: dict[str, FmuBlock]) -> None:
-    """Unload kept libraries and delete their folders."""
+    """Unload libraries that have stayed loaded, and delete their folders."""
     while kept:
         _, block = kept.popitem()
         block.instance.keeps_library = False
@@ -267,6 +267,6 @@ def _failed(job: Job, request: RunRequest, reason: CosimError | str) -> RunResul
 
 @cache
 def sampled_rows(steps: int, samples: int) -> list[int]:
-    """Return evenly spaced rows to record, including both ends."""
+    """Return the numbers of evenly spaced rows to record, including the first and the last."""
     count = min(samples, steps + 1)
     return np.unique(np.rint(np.linspace(0, steps, count)).astype(int)).tolist()  # type: ignore[no-any-return]

@@ -1,6 +1,6 @@
-"""The design of a sweep, a value of each factor for each run, and statistics of its runs.
+"""The design of a sweep, which has a value of each factor for each run, and statistics of the runs.
 
-Distributions are drawn together, a row per run. Each row is combined with all combinations of listed values.
+All distributions are drawn together, in rows. Each row is combined with every combination of listed values.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ from cosim.core.extras import optional
 
 MOST_RUNS = 1_000_000
 Sampling = Literal["latin-hypercube", "sobol", "random", "saltelli"]
-QUANTILE_975 = 1.959963984540054  # of the normal distribution
+QUANTILE_975 = 1.959963984540054  # quantile 0.975 of the normal distribution
 QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
-MIN_RUNS, MAX_RUNS = 50, 2000  # for estimating a sensitivity
+MIN_RUNS, MAX_RUNS = 50, 2000  # runs from which a sensitivity is estimated
 RESAMPLES = 50
-SLICES, SHUFFLES, CHANCE = 5, 199, 0.95  # of a factor; random orders of the outcomes, and the share below chance
+SLICES, SHUFFLES, CHANCE = 5, 199, 0.95  # of a factor; random orders of outcomes; share below chance
 SENSITIVITY_USE = "the sensitivity of a sweep"
 
 
@@ -32,11 +32,11 @@ class Factor:
     """A varied quantity: listed values, or the inverse of a distribution function.
 
     Attributes:
-        name: Name in the file.
-        unit: Unit of its values, or "".
+        name: Name in the sweep file.
+        unit: Unit of the values, "" without unit.
         values: Listed values in order.
-        drawn: Function from probability 0 … 1 to value.
-        first: First of consecutive integers over the runs.
+        drawn: Function of a probability (0 … 1) that returns a value.
+        first: First of consecutive integers, one per run.
     """
 
     name: str
@@ -48,7 +48,7 @@ class Factor:
 
 def distribution(way: str, numbers: Sequence[float], within: Sequence[float] | None = None) -> Callable[[Array], Array]:
     """Return the inverse of a distribution function; raise ValueError for invalid numbers."""
-    from scipy.stats import norm, triang, truncnorm  # This import is slower than all others.
+    from scipy.stats import norm, triang, truncnorm  # imported here, because this import is slower than all others
 
     if way == "normal" and not numbers[1] > 0:
         raise ValueError(f"a standard deviation of {numbers[1]:g} is not allowed; give one above 0")
@@ -77,19 +77,19 @@ def distribution(way: str, numbers: Sequence[float], within: Sequence[float] | N
 
 
 def drawn_rows(sampled: int, counted: bool, runs: int, sampling: Sampling) -> int:
-    """Return the number of drawn rows. It is `runs`, for saltelli at most `runs`, and 1 without distributions."""
+    """Return the number of drawn rows: `runs`, at most `runs` for saltelli, 1 without distributions."""
     if not sampled:
         return runs if counted else 1
     return runs if sampling != "saltelli" else saltelli_base(runs, sampled) * (sampled + 2)
 
 
 def saltelli_base(runs: int, count: int) -> int:
-    """Return the largest power of 2, N, with N·(count + 2) ≤ runs, or 0."""
+    """Return the largest power of 2, N, with N·(count + 2) ≤ runs, or 0 if there is none."""
     return 2 ** int(math.log2(runs / (count + 2))) if runs >= count + 2 else 0
 
 
 def columns_of(factors: Sequence[Factor], runs: int, sampling: Sampling, seed: int) -> dict[str, list[Any]]:
-    """Return the values of each factor by run."""
+    """Return factor → values in all runs."""
     combinations = list(itertools.product(*(f.values for f in factors if f.values is not None)))
     sampled = sum(f.drawn is not None for f in factors)
     rows = drawn_rows(sampled, any(f.first is not None for f in factors), runs, sampling)
@@ -106,7 +106,7 @@ def columns_of(factors: Sequence[Factor], runs: int, sampling: Sampling, seed: i
 
 
 def _shares(count: int, rows: int, sampling: Sampling, seed: int) -> Array:
-    """Return points in the unit cube, shape (rows, count)."""
+    """Return sampled points in the unit cube, shape (rows, count)."""
     rng = np.random.default_rng([seed, 0x5EED])
     if not count or not rows:
         return np.empty((rows, count))
@@ -121,19 +121,19 @@ def _shares(count: int, rows: int, sampling: Sampling, seed: int) -> Array:
         from scipy.stats import qmc
 
         kind: Any = qmc.LatinHypercube if sampling == "latin-hypercube" else qmc.Sobol
-        with warnings.catch_warnings():  # The user may choose a number of points that is no power of 2.
+        with warnings.catch_warnings():  # the user may choose a number of points that is not a power of 2
             warnings.simplefilter("ignore", UserWarning)
             points = kind(count, seed=rng).random(rows)
     return np.clip(points, 1e-12, 1.0 - 1e-12)
 
 
 def are_numbers(values: Sequence[Any]) -> bool:
-    """Return whether all values are numbers."""
+    """Return True if all values are numbers."""
     return all(isinstance(v, (int, float)) and not isinstance(v, bool) for v in values)
 
 
 def share_interval(hits: int, of: int) -> tuple[float, float]:
-    """Return the 95 % confidence interval (Wilson) of a share of runs, 0 … 1 without runs."""
+    """Return the 95 % confidence interval (Wilson) of a share of runs; (0, 1) if there are no runs."""
     if not of:
         return 0.0, 1.0
     share, z = hits / of, QUANTILE_975
@@ -144,13 +144,14 @@ def share_interval(hits: int, of: int) -> tuple[float, float]:
 
 @dataclass(frozen=True)
 class Sensitivity:
-    """Sensitivity of an outcome to each factor, most important first.
+    """Sensitivity of an outcome to each factor; the most important factor is first.
 
     Attributes:
         first: First-order index (share of the variance due to the factor alone) with its 95 % half-width.
         total: Total index, including interactions; only for saltelli sampling.
-        pawn: Shift of the outcome's distribution with the factor (PAWN, mean of 5 slices), without total indices.
-        chance: PAWN index that the largest of factors without influence exceeds in one of 20 sweeps.
+        pawn: PAWN index: how much the distribution of the outcome changes with the factor (mean of 5 slices); used
+            without total indices.
+        chance: Chance level: in one of 20 sweeps, the largest PAWN index among factors without influence exceeds it.
     """
 
     outcome: str
@@ -162,7 +163,7 @@ class Sensitivity:
 
     @property
     def ranked(self) -> tuple[str, ...]:
-        """Factors whose influence is proven, most important first."""
+        """Return the factors whose influence is significant, the most important first."""
         if self.total:
             return tuple(name for name, (size, half) in zip(self.factors, self.total, strict=True) if size > half)
         return tuple(name for name, size in zip(self.factors, self.pawn, strict=True) if size > self.chance)
@@ -171,12 +172,12 @@ class Sensitivity:
 def sensitivity(
     outcome: str, values: Array, factors: Mapping[str, Sequence[Any]], *, saltelli: bool, seed: int
 ) -> Sensitivity | None:
-    """Estimate the sensitivity by SALib.
+    """Estimate the sensitivity of an outcome to all factors with SALib.
 
-    None means too few runs, or a constant outcome.
+    The result is None for too few runs or a constant outcome.
 
     Args:
-        values: Outcome by run, shape (runs,), NaN if undefined.
+        values: Outcome in each run, shape (runs,); NaN if undefined.
     """
     varied = {n: np.array(v, float) for n, v in factors.items() if are_numbers(v) and len(set(v)) > 1}
     good = np.isfinite(values)
@@ -206,23 +207,23 @@ def sensitivity(
 
 
 def _shifts(X: Array, values: Array, rng: np.random.Generator) -> tuple[Array, float]:
-    """Return the PAWN index of each factor, and what the largest reaches by chance in one of 20 sweeps.
+    """Return the PAWN index of each factor, and the chance level that the largest exceeds in one of 20 sweeps.
 
-    The index (F. Pianosi and T. Wagener, Environmental Modelling & Software 108, 2018) is the mean over slices of
-    a factor of the Kolmogorov-Smirnov distance between the outcomes in the slice and all. Chance is the outcome in
-    random order, for all factors together.
+    The index (F. Pianosi and T. Wagener, Environmental Modelling & Software 108, 2018) is the mean over slices of a
+    factor of the Kolmogorov-Smirnov distance between the outcomes in the slice and all outcomes. The chance level is
+    computed with outcomes in random order, for all factors together.
     """
     order, count = np.argsort(values, kind="stable"), values.size
-    last = np.append(np.diff(values[order]) > 0.0, True)  # of equal outcomes, the distances count after the last
+    last = np.append(np.diff(values[order]) > 0.0, True)  # distances are evaluated after the last of equal outcomes
     whole = np.arange(1, count + 1) / count
-    slices = []  # of each factor, in which slice each run is, by increasing outcome
+    slices = []  # for each factor, the slice of each run, in the order of increasing outcome
     for x in X[order].T:
         edges = np.unique(np.quantile(x, np.linspace(0.0, 1.0, SLICES + 1)))
         label = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, max(0, len(edges) - 2))
         slices.append((label[:, None] == np.unique(label)).astype(np.float64))
 
     def indices(orders: Rows) -> Array:
-        """Return the index of each factor for each order of the outcomes, shape (orders, factors)."""
+        """Return the index of each factor, for each order of the outcomes: shape (orders, factors)."""
         found = []
         for inside in slices:
             share = np.cumsum(inside[orders], axis=1) / inside.sum(axis=0)

@@ -1,4 +1,4 @@
-"""Storage of runs: a database during a sweep, a Parquet file afterwards."""
+"""Storage of runs: a database during a sweep, a Parquet file after it."""
 
 from __future__ import annotations
 
@@ -32,12 +32,12 @@ if TYPE_CHECKING:
 
 DATABASE, TABLE, RECORD = "runs.sqlite", "sweep.parquet", "sweep.json"
 GROUP = 4096  # runs per write
-STORED_EVERY = 0.2  # [s]
-FORMAT = 3  # of the database; one of another format is not continued
+STORED_EVERY = 0.2  # interval between two writes [s]
+FORMAT = 3  # version of the database format; a sweep with another version cannot be resumed
 
 
 class Database:
-    """Database of finished runs, consistent even after a kill, which loses those of the last moment."""
+    """Database of finished runs, consistent even after a kill, which only loses runs of the last moment."""
 
     def __init__(self, path: Path, key: str) -> None:
         self.path, key = path, f"{FORMAT} {key}"
@@ -69,7 +69,7 @@ class Database:
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(self.path)) from None
 
     def add(self, run: RunResult) -> None:
-        """Add a run in place of an earlier one with its number; runs are stored together, after a moment."""
+        """Add a run, replacing an earlier one with the same number; runs are collected and stored after a moment."""
         with self._full_disk_as_oserror():
             about = json.dumps([run.run, run.status, [*run.values], [*run.met], run.signals.shape, run.valid])
             content = about.encode() + b"\n" + run.signals.tobytes()
@@ -78,14 +78,14 @@ class Database:
             self.store()
 
     def store(self) -> None:
-        """Store the runs that were added, all or none; raise OSError for a disk without space."""
+        """Store all added runs or none; raise OSError if the disk is full."""
         self._stored = time.monotonic()
         with self._full_disk_as_oserror(), self._base:
             pass
 
     def close(self) -> None:
-        """Store what fits on the disk, and close."""
-        with suppress(OSError, sqlite3.ProgrammingError):  # closed already
+        """Store the added runs if the disk has space, and close the database."""
+        with suppress(OSError, sqlite3.ProgrammingError):  # the database may be closed already
             self.store()
         self._base.close()
 
@@ -101,10 +101,10 @@ class Database:
             yield RunResult(run, status, values, met, np.frombuffer(samples).reshape(shape), valid)
 
     def remove(self) -> None:
-        """Close and delete the database, and the folder of a part."""
+        """Close and delete the database; for a part of a sweep, also its folder."""
         self._base.close()
         self.path.unlink(missing_ok=True)
-        with suppress(OSError):  # the folder of the sweep
+        with suppress(OSError):  # the folder of the sweep is not empty
             self.path.parent.rmdir()
             self.path.parent.parent.rmdir()
 
@@ -117,7 +117,7 @@ def write_table(
     signals: Sequence[str],
     about: Mapping[str, Any],
 ) -> None:
-    """Write a table with a row per run.
+    """Write a Parquet table with a row per run.
 
     Columns are number, factors, status, values and outcomes of the criteria, and signals. A signal is a list of values;
     its times are in the metadata, as JSON under `cosim`.
@@ -125,7 +125,7 @@ def write_table(
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    table: dict[str, list[Any]] = {}  # columns of a single type: integers mixed with floats become floats
+    table: dict[str, list[Any]] = {}  # columns have a single type: mixed integers and floats become floats
     for name, values in design.items():
         kinds = {type(v) for v in values}
         if len(kinds) == 1 and list not in kinds:
@@ -161,7 +161,7 @@ def read_table(path: Path) -> tuple[pyarrow.Table, dict[str, Any]]:
     """Return the table of a sweep and its metadata.
 
     Raises:
-        OSError: The file is unreadable; ValueError for a damaged file.
+        OSError: The file is unreadable. ValueError: The file is damaged.
     """
     import pyarrow.parquet as pq
 
@@ -174,7 +174,7 @@ def signal_of(table: pyarrow.Table, name: str, most: int | None = None) -> Array
     """Return a signal of successful runs, shape (runs, times).
 
     Args:
-        most: Largest number of runs, evenly spread; None for all.
+        most: Largest number of runs, which are then evenly spaced; None for all.
     """
     column = table.column(name).drop_null()
     if most is not None and len(column) > most:
@@ -212,13 +212,13 @@ class Runs:
 
     @property
     def criteria(self) -> dict[str, Array]:
-        """Return the values of each criterion in the runs, NaN without one."""
+        """Return criterion → values in the runs, NaN if undefined."""
         table, _ = read_table(self.folder / TABLE)
         names = [c["name"] for c in self.record["criteria"]]
         return {name: np.array(table.column(name).to_pylist(), float) for name in names}
 
     def signals(self, most: int) -> tuple[Array, dict[int, dict[str, Array]]]:
-        """Return the sampled times [s] of the runs, and number of a run → its signals, of `most` completed runs."""
+        """Return the sampled times [s], and run number → signal → samples of at most `most` completed runs."""
         table, about = read_table(self.folder / TABLE)
         completed = np.flatnonzero([status == "ok" for status in table.column("status").to_pylist()])
         spread = np.linspace(0, completed.size - 1, min(most, completed.size)).astype(int)
@@ -228,7 +228,7 @@ class Runs:
         return np.array(about.get("times", ()), float), runs
 
     def plot(self) -> Figure:
-        """Return a matplotlib figure with a histogram of each criterion, and its limit."""
+        """Return a matplotlib figure with a histogram and the limit of each criterion."""
         from cosim.report.cell.cell import new_figure
 
         criteria, outcomes = self.record["criteria"], self.criteria
@@ -275,7 +275,7 @@ def hardest(record: Mapping[str, Any]) -> Mapping[str, Any]:
 
 
 def read_runs(folder: Path) -> Runs | None:
-    """Return a completed sweep's runs in a folder."""
+    """Return the runs of a completed sweep in a folder; None if there are none."""
     if not all((folder / name).is_file() for name in (RECORD, TABLE)):
         return None
     return Runs(content_of(folder / RECORD), folder)

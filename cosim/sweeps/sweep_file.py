@@ -16,7 +16,7 @@ WAYS = ("values", "grid", *DISTRIBUTIONS, "count", "each")
 
 
 def _check_listed(value: Any) -> Any:
-    """Return a valid listed value, for paths also a list, e.g. poles."""
+    """Return a listed value if it is valid; a value of a path may itself be a list, e.g. poles."""
     if isinstance(value, list) and (not value or any(isinstance(v, list) for v in value)):
         raise ValueError("use numbers, true or false, or text")
     return scalar(value)
@@ -46,17 +46,17 @@ class Grid(Part):
 
 
 class Varied(Part):
-    """Variation of a factor in exactly one way, with numbers in its unit or text such as `12 deg`.
+    """Variation of a factor by one of these keys, with numbers in its unit or text such as `12 deg`.
 
     values:      a list, combined with all other listed values; a value of a path may itself be a list
-    grid:        evenly spaced values, combined likewise
+    grid:        evenly spaced values, combined with all other listed values
     uniform:     [low, high]
     log_uniform: [low, high], uniform in the logarithm
     normal:      [mean, standard deviation]
     triangular:  [low, most likely, high]
     within:      [low, high], limits of a normal distribution
-    count:       number of seeds, for `seed` only, starting at the scenario's; each is combined with all other values
-    each:        first seed, for `seed` only; each run gets the next
+    count:       number of seeds, for `seed` only, from the scenario's seed on; each is combined with all other values
+    each:        first seed, for `seed` only; each run gets the next seed
     """
 
     values: list[Listed] | None = Field(default=None, min_length=1)
@@ -80,7 +80,7 @@ class Varied(Part):
 
     @property
     def way(self) -> str:
-        """Return the chosen way."""
+        """Return the key that is set, such as `uniform`."""
         return next(way for way in WAYS if getattr(self, way) is not None)
 
 
@@ -90,13 +90,13 @@ class SweepFile(Part):
     name:        title in the report; results go to results/NAME; by default the scenario's name
     description: text in the report
     scenario:    scenario file, relative to this file
-    set:         path → value, overrides the scenario in every run
+    set:         path of the scenario → value in every run
     vary:        `component.variable` (a parameter or start value), `seed`, or a path of the scenario → how it varies
-    sampling:    sampling of the distributions; saltelli is for Sobol indices and makes N·(2 + number of
-        factors) runs, at most `runs`
-    runs:        number of joint draws of all distributions; each is combined with all listed values
+    sampling:    sampling of the distributions; saltelli, for Sobol indices, draws N·(2 + number of factors)
+        rows, at most `runs`
+    runs:        number of joint draws of all distributions; each draw is combined with all listed values
     seed:        seed of the draws
-    signals:     recorded signals; by default those of the criteria, else outputs of the FMUs
+    signals:     recorded signals; by default signals of criteria, otherwise outputs of the FMUs
     samples:     number of recorded times per signal
     dask:        address of a dask scheduler, such as tcp://host:8786
     """

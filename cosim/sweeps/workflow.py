@@ -1,4 +1,4 @@
-"""`cosim sweep`, in order: file → design → runs → sweep.parquet, sweep.json, report."""
+"""`cosim sweep`, steps: file → design → runs → sweep.parquet, sweep.json, report."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ from cosim.sweeps.runs import RunResult, assemble, make_run, sampled_rows
 from cosim.sweeps.sampling import share_interval
 from cosim.sweeps.store import DATABASE, RECORD, TABLE, Database, read_table, write_table
 
-PARTS = "parts"  # folder of the parts made by --part, as parts/17-of-200
+PARTS = "parts"  # folder for parts made by --part, such as parts/17-of-200
 REPORT = "report.html"
 MAX_LISTED_FAILURES = 20
 Progress = Callable[[int, int], None]
@@ -58,10 +58,10 @@ class RunsObserver:
     """Base class of observers that receive the finished runs of a sweep; methods are optional."""
 
     def begin(self, title: str, count: int, limits: Sequence[CriterionLimit], earlier: Iterable[RunResult]) -> None:
-        """Prepare for `count` runs, some of which an earlier call has made."""
+        """Prepare for `count` runs; `earlier` are the results of runs that an earlier call has executed."""
 
     def add(self, results: Sequence[RunResult]) -> None:
-        """Take finished runs."""
+        """Receive the results of finished runs."""
 
 
 @one_stop()
@@ -100,7 +100,7 @@ def sweep(
         Content of sweep.json, sentences and the folder.
 
     Raises:
-        InputError: Every fault, before the first run.
+        InputError: The input is wrong; the error names all faults, before the first run.
         FmuError: An FMU cannot be read or loaded.
         SweepStopped: The sweep was stopped from the keyboard; `resume` continues it.
         SweepFailed: No run was completed.
@@ -114,7 +114,7 @@ def sweep(
     if resume:
         folder = newest_run(runs_named(study.name) if folder is None else folder)
     runs, home = range(study.count), folder
-    if part is not None and folder is not None:  # Parts are made at the same time, each in a folder of its own.
+    if part is not None and folder is not None:  # parts run at the same time, each in a folder of its own
         match = re.fullmatch(r"(\d{1,7})/(\d{1,7})", part.strip())
         k, of = map(int, match.groups()) if match else (0, 0)
         if not 1 <= k <= of:
@@ -138,7 +138,7 @@ def sweep(
             address = study.file.dask if dask is None else dask
             make_runs: MakeRuns = partial(make_runs_here, study.job, workers)
             if in_process or join:
-                assemble.cache_clear()  # Files may have changed since an earlier call.
+                assemble.cache_clear()  # files may have changed since an earlier call
                 make_runs = partial(map, partial(make_run, study.job))
             elif address is not None:
                 place = partial(study.yaml.fault, ("dask",)) if dask is None else partial(Fault, Path("--dask"), 0, 0)
@@ -173,12 +173,12 @@ def sweep(
                     if progress is not None:
                         progress(len(runs) - len(missing) + made, len(runs))
                 databases[0].store()
-                hold_stops()  # The table must still be written.
+                hold_stops()  # the table must still be written
             except (KeyboardInterrupt, Terminated, OSError) as stop:
                 full = isinstance(stop, OSError)
                 if full and not is_full(stop):
                     raise
-                with suppress(OSError):  # of a full disk
+                with suppress(OSError):  # the disk may be full
                     databases[0].store()
                 kept = f"{sum(len(d.numbers()) for d in databases)} of {counted(study.count, 'run')} are stored"
                 why, cure = ("the disk is full", "make room, and ") if full else ("stopped", "")
@@ -211,7 +211,7 @@ def sweep(
 
 
 def _read_completed(folder: Path, key: str) -> dict[str, Any] | None:
-    """Return the record of the same sweep if it is complete in this folder; raise InputError for a different sweep."""
+    """Return the record in a folder if it is of the same sweep and complete; raise InputError for another sweep."""
     if not (folder / TABLE).is_file() or not (record := content_of(folder / RECORD)):
         return None
     try:
@@ -225,7 +225,7 @@ def _read_completed(folder: Path, key: str) -> dict[str, Any] | None:
 
 
 def _all_runs(databases: Sequence[Database]) -> Iterator[RunResult]:
-    """Yield the runs of all databases in order, each once."""
+    """Yield the runs of all databases in the order of numbers, each once."""
     last = -1
     for run in heapq.merge(*(database.runs() for database in databases), key=lambda run: run.run):
         if run.run != last:

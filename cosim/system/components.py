@@ -48,14 +48,14 @@ def build_components(building: Building) -> None:
 
 
 def _exact(building: Building, name: str) -> dict[str, str]:
-    """Return the columns of a recording that feed inputs of exact types (text, large integers), with the FMI types."""
+    """Return column → FMI type for recorded columns that feed inputs of types beyond doubles (text, 64-bit)."""
     types: dict[str, str] = {}
     for connection in building.scenario.connections:
         owner, column, target, variable = connection.ends
         fmu = building.scenario.components.get(target)
         if owner != name or not isinstance(fmu, FmuComponent):
             continue
-        with suppress(FmuError, InputError, OSError):  # Another check reports this FMU.
+        with suppress(FmuError, InputError, OSError):  # another check reports an error in this FMU
             description = building.describe(building.file.resolve(fmu.fmu))
             kinds = kinds_of(description.fmiVersion)
             fed = {variable, variable.rpartition("[")[0]}
@@ -66,7 +66,7 @@ def _exact(building: Building, name: str) -> dict[str, str]:
 
 
 def _fixes(building: Building, name: str, component: FixComponent) -> Fixes | None:
-    """Return a block of position fixes; record faults."""
+    """Return a sensor of position fixes; after a fault, record it and return None."""
     scenario, signals = building.scenario, {}
     for signal, about in component.signals.items():
         noise = about.noise if scenario.noise else None

@@ -17,7 +17,7 @@ from cosim.system.wiring import Building, Components, Transfer
 
 @dataclass(frozen=True)
 class PowerBond:
-    """Two connections in opposite directions whose product is a power: indices of both outputs and both inputs."""
+    """Two opposite connections whose signals have a power as product: indices of the outputs and of the inputs."""
 
     effort: tuple[int, int]
     flow: tuple[int, int]
@@ -27,16 +27,16 @@ class PowerBond:
 
 @dataclass(frozen=True)
 class Control:
-    """Control of the communication steps of a run.
+    """Settings for communication steps that are controlled by their error.
 
     Attributes:
-        estimator: halving, residual or energy.
+        estimator: Error estimator: halving, residual or energy.
         shortest, longest: Limits of a step [s].
         nominal: Column → nominal value, 1 by default.
-        outputs: Places of the real outputs of all FMUs that step under control.
-        is_per_second: Whether the tolerance is an error per second of simulated time.
+        outputs: Indices of the real outputs of all FMUs with controlled steps.
+        is_per_second: True if the tolerance is an error per second of simulated time.
         at_rows: Components that step only at rows.
-        rolls_back: Whether steps can be repeated.
+        rolls_back: True if steps can be repeated.
     """
 
     estimator: str
@@ -93,7 +93,7 @@ def control_of(building: Building, transfers: Sequence[Transfer]) -> Control | N
         by_source.setdefault(layout.columns[transfer.source] if not transfer.beside[0] else "", []).append(transfer)
     bonds = []
     for k, bond in enumerate(settings.bonds):
-        ends: list[tuple[int, int]] = []  # indices of output and input
+        ends: list[tuple[int, int]] = []  # (index of the output, index of the input) of each bond's connections
         for side, output, other in (("effort", bond.effort, bond.flow), ("flow", bond.flow, bond.effort)):
             owner = other.partition(".")[0]
             found = next((t for t in by_source.get(output, ()) if t.name.partition(".")[0] == owner), None)

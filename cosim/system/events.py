@@ -29,7 +29,7 @@ REALS = ("Real", "Float64", "Float32")
 
 
 def event_block(building: Building, name: str, component: FmuComponent, path: Path) -> Callable[..., FmuBlock] | None:
-    """Return the class of block for an FMU, with or without event mode; None after a fault."""
+    """Return the class for an FMU with or without event mode; after a fault, record it and return None."""
     scenario, description = building.scenario, building.describe(path)
     way = component.interface or ways(description)[0]
     clocks = read_clocks(path, description)
@@ -71,7 +71,7 @@ def event_block(building: Building, name: str, component: FmuComponent, path: Pa
             timings[clock_name] = Timing(timing.interval, timing.shift, tuple(timing.at))
             continue
         building.note(("components", name, "clocks", clock_name), message)
-    jumping = set()  # inputs with discontinuous sources
+    jumping = set()  # inputs whose sources change discontinuously
     for connection in scenario.connections:
         source, output, owner, variable = connection.ends
         if owner != name:
@@ -89,7 +89,7 @@ def event_block(building: Building, name: str, component: FmuComponent, path: Pa
 
 
 def default_block(path: Path, description: Any) -> type[FmuBlock]:
-    """Return the default class of an FMU's block."""
+    """Return the class that the scenario uses by default for an FMU."""
     way = ways(description)[0]
     if way == "scheduled-execution":
         return ScheduledFmu
@@ -107,7 +107,7 @@ def is_exchange(component: Any) -> bool:
 
 
 def takes_part_of_step(stage: Stage, loops: Sequence[Loop] = ()) -> bool:
-    """Return True if a component may end a step at any event; components of an algebraic loop make whole steps."""
+    """Return True if a component can end a step at any event; components of an algebraic loop cannot."""
     component = stage.component
     if any(component.name in loop.members for loop in loops):
         return False
@@ -123,7 +123,8 @@ def takes_part_of_step(stage: Stage, loops: Sequence[Loop] = ()) -> bool:
 def clock_interval(block: FmuBlock | None, target: str, value: Any) -> Any:
     """Return the interval [s] that an event sets for a clock; None if the target is not a clock.
 
-    Raise ValueError if unsuitable.
+    Raises:
+        ValueError: The value is not a valid interval for the clock.
     """
     clock = block.clocks.get(target.partition(".")[2]) if isinstance(block, EventFmu) else None
     if clock is None:
@@ -139,7 +140,7 @@ def clock_interval(block: FmuBlock | None, target: str, value: Any) -> Any:
 
 
 def check_events(building: Building, plan: Schedule, apart: Collection[str]) -> None:
-    """Record warnings about event mode.
+    """Record warnings about FMUs with event mode.
 
     Args:
         apart: Components with a process of their own.
@@ -189,7 +190,7 @@ def changes_of(building: Building) -> Events:
         for target, written in event.set.items():
             name, _, variable = target.partition(".")
             if name not in blocks and isinstance(scenario.components.get(name), FmuComponent):
-                continue  # The FMU is unusable, which is already a fault.
+                continue  # the FMU cannot be used, which is already reported
             try:
                 value = clock_interval(blocks.get(name), target, written)
                 value = targets.value(target, written) if value is None else value
@@ -209,7 +210,7 @@ class Variable:
         name: Name `component.variable`.
         is_input: True for an input, which is recorded in the rows; False for a parameter.
         kind: FMI type.
-        start: Value at the start of the run, None if the FMU does not declare it.
+        start: Value at the start of the run, None if the FMU does not declare a value.
         bounds: Least and largest value.
         items: Name → number of an enumeration.
         shape: Lengths of an array, empty for a scalar.
@@ -227,7 +228,7 @@ class Variable:
 
 
 class Targets:
-    """Variables that may be set during a run: tunable parameters and unconnected inputs of FMUs.
+    """Variables that can be set during a run: tunable parameters and unconnected inputs of FMUs.
 
     Args:
         descriptions: FMU → model description.
@@ -243,7 +244,7 @@ class Targets:
         self._variables = {name: {v.name: v for v in d.modelVariables} for name, d in descriptions.items()}
 
     def value(self, target: str, written: Any) -> Any:
-        """Return a value in the FMI type of the variable `component.variable`; raise ValueError if unsuitable."""
+        """Return a value in the FMI type of `component.variable`; raise ValueError if it does not fit the type."""
         variable = self.variable(target)
         try:
             return convert_value(self._descriptions[target.partition(".")[0]], variable, written)
@@ -269,7 +270,7 @@ class Targets:
         return variable
 
     def variables(self, starts: Mapping[str, Mapping[str, Any]]) -> list[Variable]:
-        """Return all variables that may be set, with their start values, by component, from `starts`."""
+        """Return all variables that can be set during a run; `starts` has the start values of each component."""
         return [
             Variable(
                 f"{name}.{v.name}",

@@ -1,7 +1,7 @@
 """The recorded part of a run: which signals and which rows.
 
-All rows are computed, and the recorded part is selected before writing. Recording settings therefore change no value
-and no verdict.
+All rows are computed, and the recorded part is selected before writing. Recording settings therefore do not change
+values or outcomes of criteria.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from cosim.system.wiring import Building
 
 @dataclass(frozen=True)
 class RecordedPart:
-    """Recorded signals, by index in the row and beside the row, and the number of steps between recorded rows."""
+    """Recorded signals, as indices in the row and beside it, and the number of steps between recorded rows."""
 
     columns: tuple[int, ...]
     beside: tuple[int, ...]
@@ -37,7 +37,7 @@ class RecordedPart:
 
 
 def take_signals(part: RecordedPart | None, results: Results) -> Results:
-    """Return the recorded signals of results that contain all signals."""
+    """Return results with the recorded signals only, from results with all signals."""
     if part is None:
         return results
     every = [*results.exact]
@@ -49,7 +49,7 @@ def take_signals(part: RecordedPart | None, results: Results) -> Results:
 
 
 def recorded_part(building: Building) -> RecordedPart | None:
-    """Return the recorded part of a run; None for all signals in every row. Faults of its keys are recorded."""
+    """Return the recorded part of a run; None for all signals in every row. Faults of the key `record` are added."""
     scenario, layout, record = building.scenario, building.layout, building.scenario.record
     place = ("record", "signals") if isinstance(record, Recording) else ("record",)
     for k, pattern in enumerate(scenario.recorded):
@@ -66,7 +66,7 @@ def recorded_part(building: Building) -> RecordedPart | None:
 
 
 def recording_notes(scenario: Scenario, columns: Sequence[str], part: RecordedPart | None) -> list[str]:
-    """Return notes on charts missing from the report because signals are not recorded."""
+    """Return notes on charts that the report omits because signals are not recorded."""
     if part is None or len(part.columns) == len(columns):
         return []
     recorded = {columns[k] for k in part.columns}
@@ -86,7 +86,7 @@ def recording_notes(scenario: Scenario, columns: Sequence[str], part: RecordedPa
 
 
 def _variables(columns: Sequence[str] | set[str]) -> list[set[str]]:
-    """Return the recorded variables of each component."""
+    """Return a set of recorded variables for each component."""
     by_component: dict[str, set[str]] = {}
     for column in columns:
         component, _, variable = column.partition(".")
@@ -101,7 +101,7 @@ def _is_meant(pattern: str, column: str) -> bool:
 
 
 def _objection(building: Building, pattern: str) -> str | None:
-    """Return the reason why a pattern matches no signal, with similar names; None if its component is faulty itself."""
+    """Return why a pattern matches no signal, with similar names; None if its component has a fault."""
     scenario, components, layout = building.scenario, building.components, building.layout
     name, is_pattern = pattern.partition(".")[0], "*" in pattern.partition(".")[0]
     columns = (*layout.columns, *layout.beside)
@@ -110,7 +110,7 @@ def _objection(building: Building, pattern: str) -> str | None:
     if not is_pattern and name not in scenario.components:
         hint = did_you_mean(name, scenario.components)
         return f'no component "{name}"{hint}; write component.* or component.variable'
-    # It may be a signal of a component that is faulty itself.
+    # The signal may belong to a component with a fault.
     if not ({*scenario.components} if is_pattern else {name}) <= {*components}:
         return None
     others = [column for column in columns if column.startswith("" if is_pattern else f"{name}.")]

@@ -19,17 +19,17 @@ from cosim.core.times import steps_in
 from cosim.scenario.scenario_file import Place
 from cosim.system.wiring import Building, Components, Transfer
 
-FEEDTHROUGH = "feedthrough"  # key of a component
+FEEDTHROUGH = "feedthrough"  # key of a component in the scenario
 
 
 @dataclass(frozen=True)
 class Stage:
-    """A component with the transfers around its step, every `every`-th communication point.
+    """A component with the transfers before and after its step, which ends at every `every`-th communication point.
 
     Attributes:
-        pulls: Transfers before its step.
-        late: Transfers after its step: values of known signals at the end of the step. The inputs are then set and the
-            outputs read again, so that a value acts from its time on and the outputs of a row belong to its inputs.
+        pulls: Transfers before the step.
+        late: Transfers after the step: values of known signals at the end of the step. Inputs are then set and outputs
+            read again, so that the outputs in a row belong to the inputs in the same row.
     """
 
     component: Component
@@ -88,11 +88,11 @@ class Schedule:
 
 @dataclass(frozen=True)
 class _Graph:
-    """Components and the connections between them, without those of clocks.
+    """Components and the connections between them, except connections of clocks.
 
     Attributes:
-        every: Component → its step, as a multiple of the scenario's step.
-        wired: For each connection, its graph edge and its transfers.
+        every: Component → length of its step, as a multiple of the scenario's step.
+        wired: Graph edge and transfers of each connection.
         interpolates: True if inputs follow polynomials between values at the start and the end of a step.
     """
 
@@ -103,7 +103,7 @@ class _Graph:
 
     @property
     def edges(self) -> list[Edge]:
-        """Return the edge of each connection."""
+        """Return the graph edge of each connection."""
         return [edge for edge, _ in self.wired]
 
     @cached_property
@@ -122,8 +122,8 @@ class _Graph:
     def sort_transfers(self, plan: Plan) -> tuple[tuple[Transfer, ...], tuple[Stage, ...], tuple[Loop, ...]]:
         """Return held transfers, stages with their transfers, and loops with their transfers.
 
-        The transfer of a known signal occurs before the step (pull) or after it (late), or its value is held. A sampled
-        FMU computes its outputs for the end of its step from the inputs at its start.
+        A known signal is transferred before the step (pull), after the step (late), or held. An FMU with sample times
+        computes the outputs at the end of its step from the inputs at the start.
         """
         loop_of = {name: k for k, members in enumerate(plan.loops) for name in members}
         held: list[Transfer] = []
@@ -148,15 +148,15 @@ class _Graph:
             else:
                 pulls[target] += connection
         loops = (Loop(members, tuple(own)) for members, own in zip(plan.loops, solved, strict=True))
-        order = sorted(plan.order, key=lambda name: name not in self.functions_of_time)  # Known signals come first.
+        order = sorted(plan.order, key=lambda name: name not in self.functions_of_time)  # known signals are first
         stages = (Stage(self.components[n], tuple(pulls[n]), self.every[n], tuple(late[n])) for n in order)
         return tuple(held), tuple(stages), tuple(loops)
 
     def left_open(self, solved: Collection[tuple[str, ...]], key: str, assumptions: Sequence[str]) -> Iterator[Loop]:
-        """Yield the unsolved loops that exist if inputs without declared dependencies have feedthrough.
+        """Yield loops that exist, unsolved, if inputs without declared dependencies have direct feedthrough.
 
         Args:
-            key: Setting of the scenario because of which they are not solved.
+            key: Key of the scenario because of which the loops are not solved.
         """
         plan = DEFAULT.plan_with_loops(self.components, self.edges, None, undeclared=True)
         for loop in self.sort_transfers(plan)[-1]:
@@ -183,7 +183,7 @@ class _Graph:
             yield replace(loop, left_open=sentence)
 
     def faults(self, loop: Loop) -> Iterator[tuple[Place, str]]:
-        """Yield faults, with their places, of a loop that cannot be solved."""
+        """Yield the faults of a loop that cannot be solved, with their places in the scenario."""
         has_events = any(isinstance(component, EventFmu) for component in self.components.values())
         for name in loop.members:
             component, part = self.components[name], f"{name} is part of the algebraic loop {loop.name}"
@@ -211,7 +211,7 @@ class _Graph:
 
 
 def schedule(building: Building, transfers: Sequence[Sequence[Transfer]], interpolates: bool) -> Schedule:
-    """Return the schedule of a scenario; if none exists, record a fault and return an empty schedule.
+    """Return the schedule of a scenario; if there is none, record a fault and return an empty schedule.
 
     Args:
         transfers: Transfers of each connection.
@@ -227,7 +227,7 @@ def schedule(building: Building, transfers: Sequence[Sequence[Transfer]], interp
     graph = _Graph(components, every, wired, interpolates)
     algorithm = algorithms()[scenario.algorithm]
     order = scenario.order if algorithm.sequential else None
-    if order is not None:  # It names each component with inputs exactly once.
+    if order is not None:  # the order names each component with inputs exactly once
         missing = sorted(name for name in components.keys() - set(order) if components[name].inputs)
         unknown = [name for name in order if name not in components]
         for name in unknown:
@@ -310,9 +310,9 @@ def _every(building: Building, name: str) -> int:
 
 
 def batches(stages: Sequence[Stage]) -> Iterator[list[Stage]]:
-    """Yield stages that follow each other and may step at the same time.
+    """Yield groups of consecutive stages that can step in parallel.
 
-    None of them needs an output of another one in the same step, and FMUs of one process share no data.
+    In a group, no stage needs an output of another stage in the same step, and FMUs in one process share no data.
     """
     batch: list[Stage] = []
     for stage in stages:
@@ -326,7 +326,7 @@ def batches(stages: Sequence[Stage]) -> Iterator[list[Stage]]:
 
 
 def _may_share_data(*stages: Stage) -> bool:
-    """Return whether two FMUs of a process may have global data or a tool in common."""
+    """Return True if two FMUs in one process may share global data or a simulation tool."""
     one, other = (stage.component for stage in stages)
     if not (isinstance(one, FmuBlock) and isinstance(other, FmuBlock)) or one.is_apart or other.is_apart:
         return False

@@ -1,4 +1,4 @@
-"""Construction of a system from a scenario: components in stepping order, with all signals in one row.
+"""Construction of a system from a scenario: components in stepping order, and one row for all signals.
 
 All checks that need model descriptions are made here, and all faults are reported at once.
 """
@@ -35,7 +35,7 @@ from cosim.system.recording import RecordedPart, recorded_part
 from cosim.system.schedule import Schedule, Stage, schedule
 from cosim.system.wiring import Building, Transfer, alias_transfers, connect, connection_warnings
 
-ROUNDING = 1e-6  # tolerance of the step of sampled FMUs, as a fraction of a step
+ROUNDING = 1e-6  # tolerance, as a share of a step, when the step is compared with that of an FMU with sample times
 MOST_RESULTS = 8e9  # size of results [bytes]
 BYTES = 8  # size of a number [bytes]
 
@@ -45,12 +45,12 @@ class System(Schedule):
     """A system ready for the master: its schedule and the layout of its rows.
 
     Attributes:
-        beside: Columns stored outside the row of doubles, for values without exact double.
+        beside: Columns stored outside the row of doubles, for values that doubles cannot represent exactly.
         events: Communication point → component → values to set.
-        apart: Names of components with their own process.
-        control: Control of the communication steps, None for equal steps.
+        apart: Names of components with a process of their own.
+        control: Settings of error-controlled steps; None for equal steps.
         courses: Polynomial degrees of extrapolated and of interpolated inputs during a step.
-        solving: Settings for algebraic loops, None for the default.
+        solving: Settings for the solution of algebraic loops; None for the default.
         pace: Simulated seconds per second of a paced run; None for as fast as possible.
         recording: Recorded part of the rows, None for all of them.
         display: Unit → name of its display unit, factor and offset to its values.
@@ -79,12 +79,12 @@ class System(Schedule):
         return [stage.component.name for stage in self.stages]
 
     def is_real(self, transfer: Transfer) -> bool:
-        """Return whether a transfer has values between any two others, unlike whole numbers and text."""
+        """Return True if a transfer has continuous values, unlike integers and text."""
         return not (any(transfer.beside) or self.signals[transfer.name].is_whole)
 
     @cached_property
     def held_of(self) -> dict[str, list[Transfer]]:
-        """Return component → the transfers to it at the end of a step."""
+        """Return component → transfers to the component at the end of a step."""
         by_name: dict[str, list[Transfer]] = {name: [] for name in self.names}
         for transfer in self.held:
             by_name[transfer.name.partition(".")[0]].append(transfer)
@@ -97,10 +97,9 @@ class System(Schedule):
 
     @cached_property
     def closing(self) -> tuple[Stage, ...]:
-        """Return the stages, without a step, in which outputs are read again at the end of a step.
+        """Return stages whose outputs are read again, without a step, at the end of a step.
 
-        They are those of components whose outputs depend directly on extrapolated inputs. Each one comes after those on
-        which its inputs depend.
+        Their components have direct feedthrough from extrapolated inputs. Sources are before their targets.
         """
         solved = {name for loop in self.loops for name in loop.members}
         stages, ends = dict[str, Stage](), list[tuple[str, str]]()
@@ -115,7 +114,7 @@ class System(Schedule):
 
     @property
     def reruns(self) -> bool:
-        """Return True if a resumed run repeats all steps."""
+        """Return True if a resumed run must repeat all steps, because the step policy has a memory."""
         has_events = any(isinstance(stage.component, EventFmu) for stage in self.stages)
         return has_events or bool(self.loops) or self.control is not None or any(self.courses)
 
@@ -190,7 +189,7 @@ def build_system(file: ScenarioFile) -> System:
                 building.note(place, f"{goal.of}: {reason}; name an FMU of `cosim refine` or `cosim fit`")
     is_connected = is_whole and all(transfers)
     has_events = any(isinstance(component, EventFmu) for component in components.values())
-    courses = (0, 0) if has_events else scenario.courses  # In event mode, inputs are constant during a step.
+    courses = (0, 0) if has_events else scenario.courses  # with event mode, inputs are constant during a step
     plan = schedule(building, transfers, courses[1] > 0) if is_connected else Schedule()
     separated, notes = separate([(name, block.path) for name, block in blocks.items()], scenario.isolated)
     check_events(building, plan, scenario.isolated | separated)
@@ -237,8 +236,8 @@ def _check_sampling(building: Building) -> None:
     file, scenario = building.file, building.scenario
     place = file.fault(("step",), "")
     if file.stands_in or any((f.line, f.column) == (place.line, place.column) for f in file.faults):
-        return  # The step itself is faulty.
-    parameter_of = cache(sampled_by)  # Several components may use the same FMU.
+        return  # the step itself is faulty
+    parameter_of = cache(sampled_by)  # several components may use the same FMU
     for name, block in building.blocks.items():
         if (parameter := parameter_of(block.path)) is None:
             continue

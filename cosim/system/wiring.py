@@ -1,4 +1,4 @@
-"""A system under construction: layout of signals in a row, and connections as transfers between indices."""
+"""A system under construction: indices of signals in a row, and connections as transfers between indices."""
 
 from __future__ import annotations
 
@@ -33,8 +33,8 @@ from cosim.scenario.scenario_file import Place, ScenarioFile
 
 Components = Mapping[str, Component]
 MOST_NAMED = 20  # signals shown in a message
-LONGEST = 2000  # of a message [characters]
-PASSING = {"freeze", "dropout", "delay"}  # faults that pass values of any type unchanged
+LONGEST = 2000  # characters of a message
+PASSING = {"freeze", "dropout", "delay"}  # faults that do not change the type of a value
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class RowLayout:
         columns: Names `component.variable` by index in the row.
         units: Column → unit, "" without unit.
         beside: Names, like `columns`, of values that doubles cannot represent exactly.
-        place: Column → (True if beside the row, index there).
+        place: Column → (True if beside the row, index in or beside the row).
         signals: Column → signal.
     """
 
@@ -61,7 +61,7 @@ class Building:
 
     Attributes:
         components: Components without faults by name, in file order.
-        layout: Layout of their signals.
+        layout: Indices of the components' signals.
         describe: Function that returns the model description of an FMU, which several components may use.
     """
 
@@ -74,7 +74,7 @@ class Building:
         self.warnings: list[str] = list(file.warnings)
 
     def note(self, where: Place, message: str, exit_code: int = 2) -> None:
-        """Record a fault at a place of the scenario; raise InputError at the limit of faults."""
+        """Record a fault at a place of the scenario; raise InputError when there are too many."""
         if len(message) > LONGEST:
             message = f"{message[: LONGEST - 1]}…"
         self.faults.append(self.file.fault(where, message, exit_code=exit_code))
@@ -82,7 +82,7 @@ class Building:
             raise InputError([*self.faults, Fault(self.file.path, 0, 0, f"the first {MOST_FAULTS} faults are shown")])
 
     def lay_out(self) -> None:
-        """Assign each signal of the components an index."""
+        """Assign an index to each signal of the components."""
         row: dict[str, Signal] = {}
         beside: dict[str, Signal] = {}
         for name, component in self.components.items():
@@ -112,8 +112,8 @@ class Transfer:
     """A connection between two indices, with unit conversion, noise and injected faults.
 
     Attributes:
-        name: Target as `component.variable`, also the name of its random stream.
-        items: Items of the target if it is an enumeration; `origin` is the name of the source.
+        name: Target as `component.variable`, also the name of the transfer's random stream.
+        items: Items of the target if it is an enumeration. origin: Name of the source.
         beside: True if source and target are beside the row.
         is_clock: True if clocks are connected; their ticks are not values to copy.
         of: For an input with the value reference of a connected input, the name of the connected input.
@@ -142,7 +142,7 @@ class Transfer:
             )
 
     def through(self, seed: int, start: float, step: float, count: int) -> tuple[LinkFunction, ...]:
-        """Return the conversions of the value in order: unit, noise, faults, sign of an alias."""
+        """Return the functions that change the value, in order: unit, noise, faults, sign of an alias."""
         chain: list[LinkFunction] = []
         if self.factor != 1.0 or self.offset != 0.0:
             chain.append(LinkFunction(LinkKind.AFFINE, a=self.factor, b=self.offset))
@@ -164,20 +164,20 @@ class Transfer:
 
 
 class _Checked(LinkFunction):
-    """Check that a value is an item of the target enumeration."""
+    """A check that a value is an item of the target enumeration."""
 
     def __init__(self, transfer: Transfer, start: float, step: float) -> None:
         super().__init__(LinkKind.ITEMS, values=array("d", (transfer.items or {}).values()))
         self.transfer, self.start, self.step = transfer, start, step
 
     def __call__(self, k: int, v: Any) -> Any:
-        if k:  # Values may be undefined until initialization ends.
+        if k:  # values may be undefined during initialization
             self.transfer.check_item(v, self.start + k * self.step)
         return v
 
 
 def through(chain: Sequence[LinkFunction]) -> Callable[[int, Any], Any]:
-    """Return a function that applies all functions of a chain in turn."""
+    """Return a function of (point, value) that applies all functions of a chain one after another."""
 
     def value(k: int, v: Any) -> Any:
         for one in chain:
@@ -188,7 +188,7 @@ def through(chain: Sequence[LinkFunction]) -> Callable[[int, Any], Any]:
 
 
 def connect(building: Building) -> list[tuple[Transfer, ...]]:
-    """Return the transfers of each connection (for arrays one per element); none for a faulty connection."""
+    """Return the transfers of each connection (one per element of an array); none for a faulty connection."""
     sources: dict[str, str] = {}
     connections = [*zip(building.file.places["connections"], building.scenario.connections, strict=True)]
     for k, connection in connections:
@@ -211,7 +211,7 @@ def connect(building: Building) -> list[tuple[Transfer, ...]]:
 def alias_transfers(building: Building, connections: Sequence[Sequence[Transfer]]) -> tuple[Transfer, ...]:
     """Return transfers from connected inputs to unconnected inputs that share their value references.
 
-    Two sources for one value reference are a fault.
+    Two different sources for one value reference are a fault.
     """
     fed = {t.name: (t, k) for k, transfers in enumerate(connections) for t in transfers}
     found: dict[str, Transfer] = {}
@@ -238,7 +238,7 @@ def alias_transfers(building: Building, connections: Sequence[Sequence[Transfer]
 
 
 def _objection(connection: Connection, source: Signal, target: Signal) -> str:
-    """Return the reason why two signals cannot be connected, or ""."""
+    """Return why two signals cannot be connected; "" if they can."""
     ends = f"{connection.source} is {source.kind or 'a number'}, {connection.target} is {target.kind}"
     if not is_compatible(source.kind, target.kind):
         return f"types do not agree: {ends}; connect equal types"
@@ -261,7 +261,7 @@ def _transfers(
     """Return the transfers of connection number k; none for a faulty connection, whose faults are recorded.
 
     Args:
-        ends: Side → `component.variable` → its signal, or the elements of its array.
+        ends: Side (output or input) → `component.variable` → its signal, or the elements of its array.
     """
     found: list[Sequence[Signal]] = []
     for text, side, other, key in (
@@ -275,7 +275,7 @@ def _transfers(
         elif name not in building.scenario.components and name not in building.file.broken:
             building.note(where, f'no component "{name}"{did_you_mean(name, building.scenario.components)}')
         elif component is None or name in building.file.broken:
-            pass  # The fault of this component is reported by another check.
+            pass  # another check reports the fault of this component
         elif text in ends[other]:
             building.note(where, f"{text} is one of the {other} of {name}; connect an output to an input")
         elif any(s.local and s.name == variable for s in _signals(component, side)):
@@ -300,7 +300,7 @@ def _transfers(
 
 
 def _transfer(building: Building, connection: Connection, source: Signal, target: Signal) -> Transfer:
-    """Return the transfer between two signals; raise ValueError if they do not fit."""
+    """Return the transfer between two signals; raise ValueError if they cannot be connected."""
     if objection := _objection(connection, source, target):
         raise ValueError(objection)
     scenario, ends = building.scenario, f"{connection.source} to {connection.target}"
@@ -315,15 +315,15 @@ def _transfer(building: Building, connection: Connection, source: Signal, target
     noise = connection.noise if scenario.noise else None
     factor, offset = connection.conversion or source.conversion(target) or (1.0, 0.0)
     block = building.components[owner]
-    # Recorded signals that feed integers are held constant between rows.
+    # recorded signals that feed integers are held between rows
     if isinstance(block, SourceBlock) and target.is_whole:
         block.hold(source.name)
-    is_written = isinstance(block, SourceBlock) and source.unit  # by people
+    is_written = isinstance(block, SourceBlock) and source.unit  # units of sources are written by people
     if is_written and not (target.unit or target.is_whole or connection.conversion):  # converted to SI
         assumed = assume_si(source.unit, "its FMU", f"remove the unit of {connection.source}")
         factor, offset = assumed.factor, assumed.offset
         warning = with_prefix(f"{connection.target} ", assumed.sentence)
-        if assumed.sentence and warning not in building.warnings:  # once for all elements of an array
+        if assumed.sentence and warning not in building.warnings:  # warn once for all elements of an array
             building.warnings.append(warning)
     changes = [f"{fault.kind} fault" for fault in faults if fault.kind not in PASSING]
     changes += ["noise or factor"] if noise or (factor, offset) != (1.0, 0.0) else []
@@ -381,7 +381,7 @@ def _check_faults(building: Building) -> None:
 
 
 def connection_warnings(building: Building) -> Iterator[str]:
-    """Yield a warning for each component with unconnected inputs without value in the scenario."""
+    """Yield a warning for each component with inputs that have neither a connection nor a value."""
     driven = building.scenario.targets
     driven |= {target for event in building.scenario.events for target in event.set}
     for name, component in building.components.items():

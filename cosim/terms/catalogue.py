@@ -47,7 +47,7 @@ SquareLaw = InputTerm.named(  # like the thrust of a propeller or the flow throu
 
 
 class Saturation(InputTerm):
-    """Limit of an input. At the largest value of the logs the term has no effect; its effect grows with i."""
+    """Saturation of an input at ±1/i. With a limit above the largest input of the logs, the term has no effect."""
 
     kind = "saturation"
     equation = "clip(u, ±1/i) in place of u"
@@ -73,7 +73,7 @@ class RateLimit(RememberingTerm):
     inverse_rate: float = scaled_size("T/u", typical=1.0, low=0.0, high=1000.0, doc="inverse i of the rate")
 
     def advance(self, m: Namespace, h: Number, value: Number, memory: Values) -> tuple[Number, Values]:
-        """Return the mean over the substep, and the value at its end; exact for a constant input."""
+        """Return the changed input's mean over the substep and its final value; exact for a constant input."""
         pace = m.maximum(self.inverse_rate, 1e-6 / self.place.sizes["u"])
         moved = m.clip(value - memory[0], -h / pace, h / pace)
         end = memory[0] + moved
@@ -82,7 +82,7 @@ class RateLimit(RememberingTerm):
 
 
 class Play(RememberingTerm):
-    """Play of an input."""
+    """Play (backlash) of an input."""
 
     kind = "play"
     equation = "p ← clip(p, u ± w), p in place of u"
@@ -91,7 +91,7 @@ class Play(RememberingTerm):
     width: float = scaled_size("u", typical=0.1, low=0.0, high=2.0, doc="half width w")
 
     def advance(self, m: Namespace, h: Number, value: Number, memory: Values) -> tuple[Number, Values]:
-        """Return clip(p, u ± w)."""
+        """Return the position p of the play, clip(p, u ± w), as changed input and as new memory."""
         after = m.clip(memory[0], value - self.width, value + self.width)
         return after, (after,)
 
@@ -106,7 +106,7 @@ class InputLag(RememberingTerm):
     time: float = scaled_size("T", typical=3.0, low=0.0, high=1000.0, doc="time constant T")
 
     def advance(self, m: Namespace, h: Number, value: Number, memory: Values) -> tuple[Number, Values]:
-        """Return the mean over the substep, and the value at its end; exact for a constant input."""
+        """Return the changed input's mean over the substep and its final value; exact for a constant input."""
         acts, slow = self.time > SHORTEST * h, m.maximum(self.time, SHORTEST * h)
         share, before = m.exp(-h / slow), memory[0]
         end = value + (before - value) * share
@@ -130,11 +130,11 @@ class SecondOrderLag(RememberingTerm):
     damping: float = scaled("1", default=0.7, typical=0.3, low=0.05, high=3.0, doc="damping ratio ζ")
 
     def advance(self, m: Namespace, h: Number, value: Number, memory: Values) -> tuple[Number, Values]:
-        """Return the mean over the substep, and both values at its end; exact for a constant input."""
+        """Return the changed input's mean over the substep and both final values; exact for a constant input."""
         acts, time = self.time > SHORTEST * h, m.maximum(self.time, SHORTEST * h)
-        position, speed = memory[0] - value, memory[1] - memory[0]  # of the deviation, in units of the input
+        position, speed = memory[0] - value, memory[1] - memory[0]  # deviation from the input
         damping, r, least = self.damping, h / time, 1e-6
-        square = 1.0 - damping * damping  # above a damping of 1, w is imaginary
+        square = 1.0 - damping * damping  # w is imaginary if the damping exceeds 1
         w, v = m.sqrt(m.maximum(square, least)), m.sqrt(m.maximum(-square, least))
         fades, slow, fast = m.exp(-damping * r), m.exp((v - damping) * r), m.exp(-(v + damping) * r)
         swings = square > 0.0
@@ -161,13 +161,13 @@ Coulomb = Force.named(
 
 
 class Stribeck(Force):
-    """Dry friction with a higher level at low speed."""
+    """Dry friction with a higher level at low speed (Stribeck effect)."""
 
     kind = "stribeck"
     equation = "−(F + (B − F)·exp(−(v/w)²))·tanh(v/ε)"
     at_least: ClassVar[Mapping[str, str]] = {"breakaway": "level"}
     resolved = ("softness",)
-    least: ClassVar[Mapping[str, float]] = {"speed": 3.0}  # a narrower peak imitates an unresolved transition
+    least: ClassVar[Mapping[str, float]] = {"speed": 3.0}  # a narrower peak equals the transition at 0
 
     level: float = scaled_size("u", typical=0.1, low=0.0, high=5.0, doc="level F at speed")
     breakaway: float = scaled_size("u", typical=0.2, low=0.0, high=10.0, doc="level B at rest")
@@ -202,7 +202,7 @@ CubicSpring = Force.named(
 
 
 class Cogging(Force):
-    """Periodic force along the position, with at least two periods over the travel of the logs."""
+    """Periodic force along the position, such as cogging; the travel in the logs covers at least two periods."""
 
     kind = "cogging"
     equation = "−a·sin(2π·q/P) − b·cos(2π·q/P)"
@@ -219,13 +219,13 @@ class Cogging(Force):
         return -self.sine * m.sin(angle) - self.cosine * m.cos(angle)
 
 
-Offset = Force.named(  # of a pair without an input of its own
+Offset = Force.named(  # for a pair of position and velocity without an input
     "offset",
     equation="+F",
     force_=scaled_size("u", typical=0.05, low=-5.0, high=5.0, doc="force F"),
     force=lambda e, m, q, v: e.force_,
 )
-Gap = Force.named(  # the spring of a connection transmits force only beyond it
+Gap = Force.named(  # the spring transmits force only beyond the gap
     "gap",
     equation="+k·clip(q, ±w)",
     width=scaled_size("q", typical=0.1, low=0.0, high=5.0, doc="half width w"),
@@ -261,12 +261,12 @@ Overflow = RateTerm.named(  # loss above a limit
 
 INPUT_TERMS = (InputBias, InputGain, DeadBand, Saturation, SquareLaw, RateLimit, Play, InputLag, SecondOrderLag)
 FORCES = (Coulomb, Stribeck, Viscous, QuadraticDrag, CubicSpring, Cogging)
-OF_SPRINGS, OF_CONNECTIONS = (CubicSpring, Gap), (Coulomb, QuadraticDrag)  # linear forces are parameters of the FMU
+OF_SPRINGS, OF_CONNECTIONS = (CubicSpring, Gap), (Coulomb, QuadraticDrag)  # FMUs have linear ones
 RATE_TERMS = (Leak, GrowingLeak, Overflow)
 
 
 def bound_terms(places: Sequence[Place], own: Sequence[type[Any]] = ()) -> Iterator[type[Any]]:
-    """Yield every term of the catalogue and of the user for each place, in the order of evaluation.
+    """Yield every term of the catalogue and of the user, bound to each place where it can act, in order of evaluation.
 
     Args:
         own: Terms of the user.
@@ -276,11 +276,11 @@ def bound_terms(places: Sequence[Place], own: Sequence[type[Any]] = ()) -> Itera
 
 
 def _fits(kind: type[Any], place: Place) -> bool:
-    """Return whether a term can act at a place."""
+    """Return True if a term can act at a place."""
     if place.opposite is not None:
         return kind in OF_CONNECTIONS or (kind in OF_SPRINGS and "k" in place.sizes)
     if kind is Viscous and place.direction is not None:
-        return False  # the relative velocity would give a linear force again
+        return False  # With the relative velocity, the force would be linear again.
     if place.position >= 0 and kind is Gap:
         return False
     if place.position >= 0:
@@ -304,8 +304,8 @@ def sensor_errors(
 
     Args:
         size: Standard deviation of the output along the logs.
-        step, duration: Time between rows, and length of a log [s].
-        signed: True if some reading is negative, so that the sensor measures the sign.
+        step, duration: Time between rows [s], and length of a log [s].
+        signed: True if a reading is negative, which means that the sensor measures the sign.
     """
     magnitude = (Magnitude, "magnitude", "1", 0.0, 0.5, (0.0, 1.0), "share m of the magnitude")
     errors = (
@@ -322,7 +322,7 @@ def sensor_errors(
         yield base.named(f"{kind}_at_{output.name}", **of)
 
 
-# Groups of terms with similar effects in many logs, each with an experiment that distinguishes them.
+# Groups of terms whose effects are similar in many logs, and an experiment that distinguishes the terms of each group.
 
 
 ALIKE: tuple[tuple[frozenset[str], str], ...] = (
@@ -360,7 +360,7 @@ ALIKE: tuple[tuple[frozenset[str], str], ...] = (
 )
 
 
-# kind of term → kind that it equals at some values; an overflow at level 0 equals a leak if the level is never negative
+# kind of term → kind that it equals for some parameter values (an overflow at level 0 is a leak of a level ≥ 0)
 SPECIAL_CASES = {"coulomb": "stribeck", "leak": "overflow"}
 
 
@@ -374,7 +374,7 @@ def contains(rich: str, simple: str) -> bool:
 
 
 def experiments_for(names: Iterable[str]) -> dict[frozenset[str], str]:
-    """Return groups of similar terms → experiment that distinguishes them.
+    """Return group of similar terms → experiment that distinguishes them.
 
     Args:
         names: Names of all terms and sensor errors, `kind_at_place`.

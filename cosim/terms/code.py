@@ -1,4 +1,4 @@
-"""An FMU as a model whose equations are in a library, with terms added as equations; these terms as C code.
+"""An FMU as a model. Its equations are in a library; terms are added as equations and printed as C code.
 
 The equations exist for symbols only. Each derivative and output of the library is a function of the states on which it
 depends, printed in C as a call; `cosim/estimation/kernel/library.c` evaluates the library.
@@ -22,7 +22,7 @@ from cosim.terms.language import Direction, Force, RateTerm
 
 
 class Dependencies(NamedTuple):
-    """Dependencies of derivatives and outputs, shape (derivatives + outputs, states) and (…, inputs)."""
+    """Which states, and which inputs, each derivative and output depends on, in this order, as arrays of flags."""
 
     states: Flags
     inputs: Flags
@@ -33,9 +33,9 @@ class FmuModel(Model):
 
     Attributes:
         dependencies: States and inputs on which each derivative and output depends.
-        rates: Position → velocity that equals its derivative, by index.
-        variables: Name in the model → name of the FMU's variable.
-        shown: Output → state that equals it, by index.
+        rates: Index of a position → index of the velocity, its derivative.
+        variables: Name in the model → name of the FMU variable.
+        shown: Index of an output → index of the state that equals it.
         stepped: True for an FMU for co-simulation; its outputs replace states.
         starts: Start values of the states.
     """
@@ -79,7 +79,7 @@ class FmuModel(Model):
         return Equations(derivative, output)
 
     def library_inputs(self, m: Namespace, state: Values, command: Values) -> Values:
-        """Return the inputs of the library: the commands after all input terms, plus forces added at input ports."""
+        """Return the inputs of the library: the commands after all input terms, plus forces that terms add at ports."""
         names = [q.name for q in self.inputs]
         values: Mapping[str, Number] = dict(zip(names, command, strict=True))
         for term in overrides(self.awake, "transmit", Effect):
@@ -95,7 +95,7 @@ class FmuModel(Model):
         return tuple(inputs)
 
     def added_rates(self, m: Namespace, state: Values) -> Values:
-        """Return the additions of terms to the derivatives of the library."""
+        """Return what the terms add to the derivatives of the library."""
         additions: list[Number] = [0.0 for _ in self.base_states]
         for term in self.awake:
             if isinstance(term, Force) and term.place.input < 0:
@@ -116,7 +116,7 @@ class FmuModel(Model):
 
     @property
     def directions(self) -> tuple[Direction, ...]:
-        """Return the directions of the forces in the catalogue, in order."""
+        """Return the distinct directions of all forces in the catalogue, in order."""
         every = (kind.place.direction for kind in self.catalogue if issubclass(kind, Force))
         return tuple(sorted({d for d in every if d is not None}, key=lambda d: d.number))
 
@@ -128,7 +128,7 @@ class FmuModel(Model):
         inputs = self.library_inputs(m, state, command)
         places = {k for k, depends in enumerate(of_states[row]) if depends}
         acting = [sympy.sympify(u) for u, depends in zip(inputs, of_inputs[row], strict=True) if depends]
-        # keyed by name: sympy may return an earlier expression with other symbol objects
+        # keyed by name, since sympy may return an equal earlier expression that contains other symbol objects
         through = {str(symbol) for u in acting for symbol in u.free_symbols}
         places |= {k for k, x in enumerate(state[: len(self.base_states)]) if str(x) in through}
         commands = [u for u in command if str(u) in through]
@@ -137,7 +137,7 @@ class FmuModel(Model):
 
 @cache
 def library_value(row: int) -> Any:
-    """Return the symbolic function of a derivative or output, numbered as in the library."""
+    """Return the symbolic function for a derivative or output, with the row number that it has in the library."""
     return _library_function(
         f"library_value_{row}",
         lambda printer: f"library_value({row}, t, x, u, p)",
@@ -155,10 +155,9 @@ def library_slope(row: int, by: Any) -> Any:
 
 @cache
 def library_direction(number: int, row: int) -> Any:
-    """Return the symbolic function for the rate of a state per force along a direction.
+    """Return the symbolic function for the change of a state's derivative per unit of force along a direction.
 
-    Its derivatives are neglected: in a Jacobian they are products of the added force and the curvature of the
-    inertias.
+    Its derivatives are neglected: they would multiply the added force by the slight variation of the inertias.
     """
     code = f"library_direction({number}, {row}, t, x, u, p)"
     return _library_function(f"library_direction_{number}_{row}", lambda printer: code, is_costly=True)
@@ -184,7 +183,7 @@ def fmu_model(
     terms: Sequence[type[Any]],
     **attributes: Any,
 ) -> FmuModel:
-    """Return the model of an FMU with its own parameter values.
+    """Return the model of an FMU, with the parameter values of the FMU.
 
     Args:
         signals: States, inputs and outputs, in the order of the FMU.
@@ -219,20 +218,20 @@ HOOKS: tuple[Hook, ...] = ("shape_all", "port_inputs", "added_rates", "readings"
 class TermCode:
     """Terms as C functions, with the names of their variables.
 
-    The parameters of the functions are those of `parameters` in order, then the length of the substep [s]. The
-    functions, all `static void`, may use `<math.h>`:
+    The array p contains the values of `parameters` in order, then the length of the substep [s]. The functions, all
+    `static void`, may use `<math.h>`:
 
         shape_all(double t, const double *u, const double *m, const double *p, double *out)
         port_inputs(double t, const double *x, const double *u, const double *p, double *out)
         added_rates(double t, const double *x, const double *u, const double *p, double *out)
         readings(double t, const double *y, const double *p, double *out)
 
-    `shape_all` returns the shaped inputs and the memory after the substep. Near 0 as length of the substep, the shaped
-    inputs are those at the instant t. `port_inputs` adds forces to the shaped inputs. `added_rates` returns additions
-    to the derivatives, `readings` the outputs as delivered. Dormant terms change nothing.
+    `shape_all` returns the shaped inputs and the memory after the substep. For a substep of almost 0 s, these are the
+    shaped inputs at the instant t. `port_inputs` adds forces to the shaped inputs. `added_rates` returns what is added
+    to the derivatives, `readings` the outputs with sensor errors. Dormant terms change nothing.
 
     Attributes:
-        source: C text of the functions in `hooks`. Absent functions change nothing.
+        source: C text of the functions in `hooks`. A function that is absent would change nothing.
         parameters: Parameters of all terms; their names are names of variables, e.g. `coulomb_at_v.level`.
         inputs: Continuous real inputs, u.
         states: Variables passed as x: in model exchange all continuous states in FMI order, in co-simulation any real
@@ -262,7 +261,7 @@ def term_code(model: FmuModel, names: Collection[str], states: Sequence[str]) ->
 
     Args:
         names: Terms of the catalogue.
-        states: The FMU's variables in place of the model's states.
+        states: FMU variables that represent the states of the model.
     """
     import sympy
 

@@ -1,4 +1,4 @@
-"""Terms and places. A term is declared in units of its place; binding adds name, units and typical sizes."""
+"""Terms and their places. Terms are declared in multiples of signals; `bind` adds name, units and typical sizes."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ FACTOR = re.compile(r"(?P<symbol>[A-Za-z]+|1)(\^(?P<power>\d+))?")
 
 @dataclass(frozen=True)
 class RatioFactor:
-    """The factor ((p + shift)/(value + shift))^power of a parameter p in a ratio; 1 at p = value.
+    """Dependence of an inertia ratio on a parameter p: the factor ((p + shift)/(value + shift))^power, 1 at p = value.
 
     A shift of 0 gives a power law; another shift is the constant that the model adds to the parameter.
     """
@@ -31,19 +31,18 @@ class RatioFactor:
     power: float
 
     def at(self, value: Number) -> Number:
-        """Return the factor for another value of the parameter."""
+        """Return the factor for a value p of the parameter."""
         return ((value + self.shift) / (self.value + self.shift)) ** self.power
 
 
 @dataclass(frozen=True)
 class Opposite:
-    """The other end of a connection between two pairs.
+    """The second end of a spring or damper that connects two pairs of position and velocity.
 
     Attributes:
-        position, state: Indices of its position and velocity.
-        gear: Position of the first end divided by the position of this end, without deflection.
-        ratio: Acceleration of this end divided by the opposite acceleration of the first end, at the FMU's parameter
-            values.
+        position, state: Indices of the second end's position and velocity.
+        gear: Ratio of the first end's position to this end's position, without deflection of the connection.
+        ratio: Acceleration of this end per opposite acceleration of the first end, at the FMU's parameter values.
         factors: Factors of the ratio, one for each parameter of an inertia.
     """
 
@@ -56,7 +55,9 @@ class Opposite:
 
 @dataclass(frozen=True)
 class Direction:
-    """Rates per force along a velocity v, from the FMU's damping parameter b: d(x) = −(f(x; b + δ) − f(x; b))/(δ·v).
+    """Change of all derivatives f per unit of force along a velocity v.
+
+    d(x) = −(f(x; b + δ) − f(x; b))/(δ·v), where b is a damping parameter of the FMU.
 
     Both values of f are evaluated at a typical speed v and at 0 for the velocities of other directions.
 
@@ -78,7 +79,7 @@ class Direction:
     rates: tuple[int, ...]
 
     def changed(self, value: float) -> float:
-        """Return the changed parameter value, b + δ or b − δ."""
+        """Return the value of b + δ or, beyond the upper limit, b − δ."""
         return value + self.change if value + self.change <= self.high else value - self.change
 
 
@@ -88,15 +89,15 @@ class Place:
 
     Attributes:
         name: Name of the input, velocity or state, used in the terms' names.
-        units, sizes: Symbol of `scaled` → unit, and typical size along the logs.
+        units, sizes: Symbol in `scaled` → unit, and symbol → typical size in the logs.
         input: Index of the input of an input term, or of the port of a force or rate; −1 for a term on a rate.
         position, state: Indices of the position, and of the velocity or storage state.
-        middle: Mean of the storage state.
+        middle: Mean of the storage state in the logs.
         resolution: Smallest change of velocity that an integration step resolves, for the transition of friction.
         sign: Sign of the port's effect on the derivative of the velocity.
         gain: Derivative of the storage per unit of the port.
         opposite: Other end of a connection; a force acts on both, along their relative position and velocity.
-        direction: Rates per force, for a force that changes more rates than that of its velocity.
+        direction: Change of the derivatives per unit of force, for a force that changes more than one derivative.
         is_driven: True if an input acts on the velocity, through this place or another.
     """
 
@@ -115,7 +116,7 @@ class Place:
     is_driven: bool = False
 
     def motion(self, state: Values) -> tuple[Number, Number]:
-        """Return position and velocity at a pair, or of the first end of a connection relative to the other."""
+        """Return position and velocity; at a connection, those of the first end relative to the second."""
         position, velocity, other = state[self.position], state[self.state], self.opposite
         if other is None:
             return position, velocity
@@ -125,7 +126,7 @@ class Place:
 @dataclass_transform(frozen_default=True, kw_only_default=True)
 @dataclass(frozen=True, kw_only=True)
 class Term(Effect):
-    """A term of the general catalogue, before or after binding to a place; each subclass becomes a dataclass.
+    """A term of the general catalogue, before or after it is bound to a place. Each subclass becomes a dataclass.
 
     Attributes:
         kind: First part of the name, `kind_at_place`; by default the name before binding.
@@ -145,7 +146,7 @@ class Term(Effect):
 
 
 class InputTerm(Term):
-    """A term that changes one input of the FMU. Symbols of `scaled`: u, M (largest value), T (row)."""
+    """A term that changes one input of the FMU. Symbols in `scaled`: u, M (largest value), T (time between rows)."""
 
     def change(self, m: Namespace, value: Number) -> Number:
         """Return the changed input, for a term without memory."""
@@ -162,7 +163,7 @@ class RememberingTerm(InputTerm):
     def advance(self, m: Namespace, h: Number, value: Number, memory: Values) -> tuple[Number, Values]:
         """Return the changed input from `t` to `t + h` [s], and the new memory.
 
-        Initially the memory equals the input.
+        The initial memory equals the input.
         """
         raise NotImplementedError
 
@@ -171,7 +172,7 @@ class RememberingTerm(InputTerm):
         return command
 
     def shape(self, m: Namespace, t: Number, h: Number, command: Values, memory: Values) -> tuple[Values, Values]:
-        """Return the command with this input changed, and the new memory; its last value is 1 once initialized."""
+        """Return the command with this input changed, and the new memory, whose last value is 1 once initialized."""
         place = self.place.input
         value, (*kept, begun) = command[place], memory
         past = tuple(m.where(begun > 0.5, past, value) for past in kept)
@@ -180,9 +181,10 @@ class RememberingTerm(InputTerm):
 
 
 class Force(Term):
-    """A force at a pair of position and velocity; symbols of `scaled`: u (unit of the port or direction), q and v.
+    """A force that acts on a velocity. Symbols in `scaled`: u (unit of the force), q (position) and v (velocity).
 
-    At a connection of two pairs, position and velocity are relative, and k is its stiffness.
+    At a connection of two pairs, position and velocity are relative, and the symbol k is the stiffness of the
+    connection.
 
     Attributes:
         repeats: Parameter with the period of a force that repeats along the position; "" for none.
@@ -196,10 +198,10 @@ class Force(Term):
 
 
 class RateTerm(Term):
-    """An addition to the derivative of a storage state. Symbols of `scaled`: r (unit of the derivative) and q."""
+    """An addition to the derivative of a storage state. Symbols in `scaled`: r (the derivative) and q (the state)."""
 
     def rate(self, m: Namespace, level: Number) -> Number:
-        """Return the addition to the derivative."""
+        """Return the addition to the derivative at a level of the storage."""
         raise NotImplementedError
 
 
@@ -214,18 +216,18 @@ def scaled(
     high: float = math.inf,
     absolute: bool = False,
 ) -> Any:
-    """Declare a parameter of a term in units of its place.
+    """Declare a parameter of a term, with values as multiples of typical sizes at its place.
 
     Args:
-        unit: Product of symbols, such as `u/v^2`; `1` and `s` are units.
-        default, neutral, typical, low, high: Values as multiples of the same product of typical sizes.
-        absolute: Measure the value from the mean of the place's state instead of zero.
+        unit: Product of powers of symbols, such as `u/v^2`, or the units `1` and `s`.
+        default, neutral, typical, low, high: Values as multiples of the same product, taken of the typical sizes.
+        absolute: True if the value is measured from the mean of the state at the place, not from zero.
     """
     declaration = Parameter("", default, unit, doc, (low, high), neutral, typical)
     return field(default=default, metadata={"parameter": declaration, ABSOLUTE: absolute})
 
 
-scaled_size = partial(scaled, neutral=0.0)  # of a parameter that changes nothing at 0
+scaled_size = partial(scaled, neutral=0.0)  # a parameter with the neutral value 0
 
 
 def bind(kind: type[Any], place: Place) -> type[Any]:
@@ -253,7 +255,7 @@ def bind(kind: type[Any], place: Place) -> type[Any]:
 
 
 def _factors(expression: str) -> list[tuple[str, int]]:
-    """Return symbol and power of each factor of a product such as `u/v^2`."""
+    """Return the symbol and power of each factor of a product such as `u/v^2`."""
     factors, sign = [], 1
     for part in re.split(r"([/.])", expression):
         if part in ("/", "."):
@@ -267,7 +269,7 @@ def _factors(expression: str) -> list[tuple[str, int]]:
 
 
 def unit_of(expression: str, units: Mapping[str, str]) -> str:
-    """Return the product of units: `N.s/m` for `u/v`."""
+    """Return the unit of a product of symbols, such as `N.s/m` for `u/v`."""
     return unit_product([(units.get(symbol, symbol), power) for symbol, power in _factors(expression)])
 
 

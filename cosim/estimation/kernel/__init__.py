@@ -1,1 +1,1 @@
-"""Filter kernels over logs, with arrays as interface."""
+"""Filter kernels, which filter or simulate a log; their interface consists of arrays."""

@@ -1,4 +1,4 @@
-"""Cache of compiled kernels by model and measured outputs."""
+"""Compiled kernels, cached by model and measured outputs."""
 
 from __future__ import annotations
 
@@ -38,15 +38,15 @@ def kernel(
 ) -> Kernel:
     """Return the kernel (Kalman filter over a log) for a model and its measured outputs, compiled or from the cache.
 
-    Boolean parameters are compiled in; the kernel takes all others as arguments.
+    Boolean parameters are constants in the kernel; all other parameters are arguments.
 
     Args:
-        unnamed: Whether to add terms outside the catalogue, as in `generate`.
+        unnamed: Add terms outside the catalogue (unmodelled dynamics), as in `generate`.
         constant: Parameters that the filter treats as constant states.
         fmu: FMU of a model whose equations are in a library.
 
     Raises:
-        InputError: No working C compiler exists, or the model compares symbols with ==.
+        InputError: There is no working C compiler, or the model compares symbols with ==.
     """
     flags = tuple(getattr(model, p.name) for p in model.parameters if isinstance(p.default, bool))
     key = (type(model), flags, tuple(measured), unnamed, tuple(constant), model.integrator)
@@ -58,7 +58,7 @@ def kernel(
             else:
                 _kernels[key] = CompiledKernel(generate(model, measured, unnamed, constant))
         except OfNumbersOnly as error:
-            line = traceback.extract_tb(error.__traceback__)[-2]  # the model's line of the operation
+            line = traceback.extract_tb(error.__traceback__)[-2]  # line of the model with this operation
             place = Path(line.filename), line.lineno or 0, (line.colno or 0) + 1
             raise InputError(
                 [
@@ -75,25 +75,25 @@ def kernel(
     return _kernels[key]
 
 
-# Filter with the library of an FMU in worker processes, so that a crash or a hang costs one evaluation.
+# An FMU's library is filtered in worker processes, so that a crash or a hang costs only one evaluation.
 
 
 MODULES = ("cosim.estimation.kernel.library_kernel", "fmpy.fmi2")
 
-# idle worker processes with their kernels; a thread takes one for each call
+# idle worker processes with kernels; a thread takes one for each call
 _idle: queue.LifoQueue[tuple[Worker, dict[RemoteLibraryKernel, Remote]]] = queue.LifoQueue()
 
 
 @atexit.register
 def end_workers() -> None:
-    """End all idle processes."""
+    """End all idle worker processes."""
     with suppress(queue.Empty):
         while True:
             _idle.get_nowait()[0].end()
 
 
 class RemoteLibraryKernel:
-    """Kernel of an FMU with terms, in worker processes. A pass in which the FMU fails counts as diverged.
+    """Kernel of an FMU with terms, in worker processes. If the FMU fails in a pass, the pass counts as diverged.
 
     Attributes:
         failures: Reason of each pass in which the FMU failed.
@@ -104,16 +104,16 @@ class RemoteLibraryKernel:
         self._recipe = generated, fmu._replace(path=fmu.path.resolve())
         self.limits = fmu.limits.model_copy(update={"load": fmu.limits.step or fmu.limits.load or LOADING})
         self.failures: list[SimulationError] = []
-        self._longest, self._has_hung = 0.0, False  # processor time of a call that succeeded [s]
+        self._longest, self._has_hung = 0.0, False  # longest processor time of a successful call [s]
 
     def _call(self, method: str, passes: Sequence[tuple[Any, ...]], **options: Any) -> list[Any]:
-        """Return the results of a method for each pass; raise SimulationError if the FMU fails, crashes or hangs."""
+        """Return a method's result for each pass; raise SimulationError if the FMU fails, crashes or hangs."""
         try:
             worker, kernels = _idle.get_nowait()
         except queue.Empty:
             worker, kernels = Worker(*MODULES), {}
         most = (self.limits.load or LOADING) * len({id(data) for data, *_ in passes})
-        # An FMU that hung once often hangs at each value beyond a limit, for which a search must not wait each time.
+        # An FMU that has hung once often hangs at all values beyond a limit, so the time limit is shortened.
         most = min(most, max(1.0, SLOW * self._longest)) if self._has_hung else most
         try:
             watch = Watch((NAME,), limits=self.limits.model_copy(update={"load": most}), computing=True)
@@ -128,9 +128,9 @@ class RemoteLibraryKernel:
             _idle.put((worker, kernels))
 
     def call_all(self, method: str, passes: Sequence[tuple[Any, ...]], **options: Any) -> list[Any]:
-        """Call a method for several logs or starts, by halves if the FMU fails.
+        """Call a method for several passes; if the FMU fails, call it for each half of the passes.
 
-        If a filter hangs, those of the other logs are not tried.
+        If a filter hangs, the other passes are not tried.
         """
         try:
             return self._call(method, passes, **options)
@@ -162,12 +162,12 @@ class RemoteLibraryKernel:
     def simulate_from(
         self, data: Data, p: Array, points: tuple[Sequence[int], Any, Any], length: int
     ) -> list[Simulated]:
-        """Simulate rows of a log from each of some rows, as `Problem.simulate_from`."""
+        """Simulate a log from each of some rows, as `Problem.simulate_from`."""
         each = [tuple(part[k : k + 1] for part in points) for k in range(len(points[0]))]
         runs = self.call_all("simulate_from", [(data, p, point, length) for point in each])
         return [*chain.from_iterable(runs)]
 
     def responses(self, *arguments: Any) -> tuple[Array, Array]:
-        """Return slopes by start states, and propagations, as `LibraryKernel.responses`."""
+        """Return derivatives by start states, and the propagation, as `LibraryKernel.responses`."""
         found: tuple[Array, Array] = self._call("responses", [arguments])[0]
         return found

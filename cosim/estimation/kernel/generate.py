@@ -1,12 +1,12 @@
 """Generation of kernel functions: derivative, Jacobian, outputs and shaping of commands.
 
 The model is evaluated symbolically with all effects and sensor errors active, so that one compiled kernel serves every
-candidate; the neutral value switches an effect off. Each forced equation has an unknown input, a zero-mean
-Gauss-Markov process with correlation time T, for the filter to estimate:
+candidate; the neutral value switches an effect off. Each forced equation has an unknown input d, a zero-mean
+Gauss-Markov process with correlation time T, which the filter estimates:
 
     ẋ = f(x, u) + d      ḋ = −d/T + w
 
-A parameter per log may also be a constant state, θ̇ = 0, known or estimated by the filter.
+A parameter with a value per log can be a constant state, θ̇ = 0, whose value is known or estimated.
 """
 
 from __future__ import annotations
@@ -32,22 +32,22 @@ from cosim.model.symbolic.symbols import SymbolicModel, number_guard
 from cosim.terms.code import FmuModel
 from cosim.terms.language import Force, RateTerm
 
-Generated = tuple[Layout, str]  # layout, and C source of a filter
+Generated = tuple[Layout, str]  # layout of the arrays, and C source of a filter
 FOLDER = Path(__file__).parent
 NATIVE = Path(cosim.fmi.native.__file__).parent
 
 
 def generate(model: Model, measured: Sequence[str], unnamed: bool = False, constant: Sequence[str] = ()) -> Generated:
-    """Return the layout and the C source of the filter for a model and the outputs of a log.
+    """Return the layout and the C source of the filter for a model and measured outputs.
 
     Generated functions are `deriv(t, x, u, p, dx)`, `jacobian(t, x, u, p, A)`, `measure(t, x, u, p, y)`,
-    `measure_jacobian(t, x, u, p, C)` and `shape_all(h, u, memory, p, out)`; A and C refer to stochastic states. A stiff
-    integrator has `state_jacobian(t, x, u, p, J)` of all states.
+    `measure_jacobian(t, x, u, p, C)` and `shape_all(h, u, memory, p, out)`; A and C contain only stochastic states. For
+    a stiff integrator, `state_jacobian(t, x, u, p, J)` contains all states.
 
     Args:
-        unnamed: Add terms outside the catalogue to each forced equation, for missing terms that no effect explains:
-            `unnamed.state.basis`, a coefficient times a basis function of a signal, and local shapes.
-        constant: Parameters that become states with derivative 0; shaping of commands still uses `p`.
+        unnamed: Add terms outside the catalogue (unmodelled dynamics) to each forced equation: `unnamed.state.basis`, a
+            coefficient times a basis function of a signal, and local shapes.
+        constant: Parameters that become states with derivative 0. Shaping of commands still uses their values in `p`.
     """
     import sympy
     from sympy import srepr
@@ -62,7 +62,7 @@ def generate(model: Model, measured: Sequence[str], unnamed: bool = False, const
     _add_sensor_errors(body, model)
     if unnamed:
         body.outputs.update({n: sympy.sympify(body.outputs[n]) + sums[READING + n] for n in measured})
-    if forced:  # an unknown input as additional state in each forced equation
+    if forced:  # each forced equation has an unknown input as additional state
         lasting = body.parameter(MEMORY)
         added = {name: sympy.Symbol(f"state:{DISTURBANCE}{name}", real=True) for name in forced}
         for name, d in added.items():
@@ -111,12 +111,12 @@ def generate(model: Model, measured: Sequence[str], unnamed: bool = False, const
 def generate_stepped(model: FmuModel, measured: Sequence[str], unnamed: bool = False) -> Generated:
     """Return the layout and the C source of the filter for free runs of an FMU for co-simulation.
 
-    Random states are the deviations of the outputs in the row before, an unknown input of each output, the deviations
-    of the outputs, which it drives, and the start states, which do not change.
+    Random states are: deviations of the outputs in the previous row; an unknown input of each output; deviations of the
+    outputs, driven by these inputs; start states, which are constant.
 
     Args:
-        unnamed: Add terms outside the catalogue to each unknown input: `add_unnamed(t, x, u, p, out)`, where x holds
-            the measured outputs and then their rates.
+        unnamed: Add terms outside the catalogue to each unknown input: `add_unnamed(t, x, u, p, out)`, where x contains
+            the measured outputs, then their rates.
     """
     import sympy
 
@@ -134,7 +134,7 @@ def generate_stepped(model: FmuModel, measured: Sequence[str], unnamed: bool = F
         x = [near.get(prefix + n, sympy.Symbol(f"no {prefix}{n}")) for prefix in ("", RATE) for n in measured]
         of_outputs = replace(body, symbols=replace(body.symbols, state=tuple(x)))
         texts += [_shape_functions(), of_outputs.function(C(), "add_unnamed", [*sums.values()], _stages(shapes))]
-    # parameter → neutral value of the terms that depend on a position or level, and the names of these
+    # parameter → neutral value, for terms that depend on a position or level; names of these positions and levels
     m, at, speed = SymbolNamespace(), sympy.Symbol("position", real=True), sympy.Symbol("velocity", real=True)
     along, places = dict[str, float](), dict[str, None]()
     for kind in model.catalogue:
@@ -175,9 +175,9 @@ def _source(layout: Layout, functions: str, more: Mapping[str, Any], before: Seq
     """Return the C source of a filter: sizes, generated functions and hand-written code.
 
     Args:
-        more: Further sizes and places.
-        before: Files before the generated functions.
-        filter: File with the filter.
+        more: Further sizes and indices.
+        before: C files to include before the generated functions.
+        filter: C file with the filter.
     """
     groups = {"NX": layout.states, "NU": layout.inputs, "NY": layout.outputs, "NS": layout.stochastic}
     sizes: dict[str, Any] = {name: len(group) for name, group in groups.items()}
@@ -193,7 +193,7 @@ def _source(layout: Layout, functions: str, more: Mapping[str, Any], before: Seq
 
 
 def _library_inputs(body: Body) -> list[Any]:
-    """Return the inputs of an FMU's library as expressions; none for a model with equations."""
+    """Return the inputs of an FMU's library as expressions; empty for a model with equations of its own."""
     import sympy
 
     s = body.symbols
@@ -214,7 +214,7 @@ def _layout(body: Body, measured: Sequence[str], **more: Any) -> Layout:
 def _nameless(
     body: Body, known: Known, forced: Sequence[str], measured: Sequence[str] = ()
 ) -> tuple[dict[str, Any], list[LocalShape]]:
-    """Return the unnamed terms of forced equations and readings, and their local shapes; parameters are added.
+    """Return the unmodelled dynamics of forced equations and readings, and local shapes; parameters are added.
 
     Readings have local shapes only.
     """
@@ -234,18 +234,18 @@ def _nameless(
 
 
 def _shape_functions() -> str:
-    """Return the C functions of local shapes."""
+    """Return the text of the C functions of local shapes."""
     return f"#define KNOTS {KNOTS}\n" + (FOLDER / "local_shape.c").read_text(encoding="utf-8")
 
 
 def _stages(shapes: Sequence[LocalShape]) -> list[dict[Any, Any]]:
-    """Return the stages of all local shapes."""
+    """Return the stages in which printed code computes all local shapes."""
     stages = zip(*((s.sums, s.values) for s in shapes), strict=True)
     return [dict(chain.from_iterable(s.items() for s in stage)) for stage in stages]
 
 
 def _slopes(rows: Sequence[Any], states: Sequence[Any], shapes: Sequence[LocalShape]) -> list[Any]:
-    """Return the derivative of each row by each state, including paths through local shapes."""
+    """Return the derivative of each expression by each state, including paths through local shapes."""
     import sympy
 
     slopes = []
@@ -269,7 +269,7 @@ def _add_sensor_errors(body: Body, model: Model) -> None:
     for kind in model.sensors:
         symbol = body.parameter(f"{kind.name}.value")
         if kind.depends_on_past():
-            continue  # the filter accounts for it
+            continue  # the filter accounts for this derivative
         outputs = true | {name: body.outputs[name] for name in kind.affected()}
         with number_guard(smooth=True):
             readings = kind(value=symbol).readings(SymbolNamespace(), body.symbols.time, outputs)
@@ -279,7 +279,7 @@ def _add_sensor_errors(body: Body, model: Model) -> None:
 def _with_constants(
     body: Body, driven: Sequence[str], measured: Sequence[str], constant: Sequence[str]
 ) -> tuple[Body, tuple[str, ...]]:
-    """Return the equations with parameters as constant states, and the states that become uncertain thereby."""
+    """Return the equations with parameters as constant states, and the states that these make uncertain."""
     import sympy
 
     if not constant:
@@ -289,7 +289,7 @@ def _with_constants(
     body.outputs.update({n: sympy.sympify(e).xreplace(states) for n, e in body.outputs.items()})
     places = [k for k, e in enumerate(body.derivative.values()) if e.free_symbols & set(states.values())]
     reached, reaching = _influence(body, places, [body.outputs[n] for n in measured])
-    # base states coupled only by an effect are excluded, as for noise
+    # base states that only an effect couples are excluded, as for process noise
     apart = {q.name for q in body.symbols.model.base_states} - {*driven}
     carrying = tuple(
         n
@@ -301,13 +301,13 @@ def _with_constants(
 
 
 def _reach(model: Model, measured: Sequence[str]) -> tuple[list[str], list[str], frozenset[str], list[str]]:
-    """Return the states of the base model by influence of process noise, and influence on a measured output.
+    """Return the states of the base model that process noise reaches or that influence a measured output.
 
-    Without effects, the filter's covariance ignores couplings between states that only effects cause.
+    Effects are left out, so the filter's covariance ignores couplings that only effects cause.
 
     Returns:
-        States with process noise and influence, all states reached by the noise with influence, those reached without
-        influence, and unreached ones with influence.
+        States with process noise and influence on a measured output; states that the noise reaches, with influence;
+        states that the noise reaches, without influence; states that the noise does not reach, with influence.
     """
     body = Body.of(replace(model, effects=()), effects=False)
     names = list(body.derivative)
@@ -324,40 +324,39 @@ def _reach(model: Model, measured: Sequence[str]) -> tuple[list[str], list[str],
 
 
 def _influence(body: Body, first: Sequence[int], expressions: Sequence[Any]) -> tuple[set[int], set[int]]:
-    """Return the indices of states influenced by those of `first`, and of those with influence on some expressions."""
+    """Return the indices of states that those in `first` influence, and of states that influence `expressions`."""
     symbols = [e.free_symbols for e in body.derivative.values()]
     depends = np.array([[x in of for x in body.symbols.state] for of in symbols], bool).reshape(len(symbols), -1)
-    along = np.linalg.matrix_power(depends | np.eye(len(symbols), dtype=bool), len(symbols))  # of any length
+    along = np.linalg.matrix_power(depends | np.eye(len(symbols), dtype=bool), len(symbols))  # paths of any length
     read = [any(x in e.free_symbols for e in expressions) for x in body.symbols.state]
     reached, reaching = along[:, list(first)].any(axis=1), along[read].any(axis=0)
     return {*np.flatnonzero(reached).tolist()}, {*np.flatnonzero(reaching).tolist()}
 
 
-# Terms outside the catalogue in forced equations and readings: basis functions of one signal, and local shapes.
+# Unmodelled dynamics in forced equations and readings: basis functions of one signal, and local shapes.
 #
-# Parameters define a local shape, so that one kernel serves every place on every signal. With signals z,
+# Parameters define a local shape, so that one kernel serves every signal and range. With signals z,
 #
 #     to · (by.1 + by·z) · (Σ c_k·bump(ζ − k) + c·rise(ζ) + a·sin ζ + b·cos ζ)      ζ = of·z
 #
-# bump falls from 1 to 0 within 2, rise climbs from 0 to 1 between −1 and 1. With all parameters 0, no shape exists.
+# bump falls from 1 to 0 within ±2; rise increases from 0 to 1 between −1 and 1. If all parameters are 0, the shape is 0.
 #
 
-
-READING = "reading of "  # prefix of an output in place of a state whose equation has a local shape
+READING = "reading of "  # prefix of a measured output, which replaces a state, if its reading has a local shape
 PREFIX = "unnamed"  # prefix of coefficients: `unnamed.state.basis`
-RATE = "rate of "  # prefix of the rate of an output in co-simulation
-LOCAL = "local"  # prefix of a local shape's parameters: `local.1.of.position`, and `local.1.of.1` of the constant
-SLOTS, KNOTS = 2, 8  # simultaneous local shapes, and bumps of each
+RATE = "rate of "  # prefix of the rate of an output (co-simulation)
+LOCAL = "local"  # prefix of a local shape's parameters, such as `local.1.of.position`; `local.1.of.1` is the constant
+SLOTS, KNOTS = 2, 8  # local shapes at a time, and bumps of each
 ROLES = ("of", "by")
 REACH = 2.0  # ζ at which a bump reaches 0
 
 
 @dataclass(frozen=True)
 class Known:
-    """Signals on which unnamed terms may depend, with their symbols.
+    """Signals on which unmodelled dynamics may depend, with their symbols.
 
     Attributes:
-        states: States; in co-simulation outputs and their rates.
+        states: States; for co-simulation, outputs and their rates.
         rates: State → state that equals its derivative.
     """
 
@@ -371,8 +370,8 @@ class Known:
         """Return the signals of a model.
 
         Args:
-            measured: Outputs that stand in place of states in co-simulation, by default all of them.
-            excluded: States that drift unobserved, which cannot be regressors.
+            measured: Outputs that replace states in co-simulation; by default all outputs.
+            excluded: States that drift unobserved, on which no term can depend.
         """
         states = [(q, x) for q, x in zip(s.model.base_states, s.state, strict=False) if q.name not in excluded]
         rates: dict[str, str] = {}
@@ -390,7 +389,7 @@ class Known:
 
 
 def bases(known: Known) -> dict[str, Any]:
-    """Return name → basis function of time, a state, a velocity, an angle or a command, and the constant."""
+    """Return name → basis function: the constant, and functions of time, a state, a velocity, an angle or a command."""
     import sympy
 
     functions: dict[str, Any] = {"1": sympy.Integer(1), "time": known.time}
@@ -418,7 +417,7 @@ def bases(known: Known) -> dict[str, Any]:
 
 
 def local_signals(known: Known) -> dict[str, Any]:
-    """Return the signals of local shapes: time, states, sine and cosine of angles, commands."""
+    """Return name → signal on which local shapes can depend: time, states, sine and cosine of angles, commands."""
     import sympy
 
     signals = {"time": known.time} | {q.name: x for q, x in known.states}
@@ -430,12 +429,12 @@ def local_signals(known: Known) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class LocalShape:
-    """Symbols of a local shape, an unnamed term that acts in a range of a signal: factor times shape.
+    """Symbols of a local shape: unmodelled dynamics in a range of a signal, factor times shape.
 
     Attributes:
-        terms: Contribution to each equation, and to each reading.
+        terms: State or reading → contribution to its equation or reading.
         sums: Symbol of ζ and of the factor → expression.
-        values: Symbol of the shape and of its derivative by ζ → C function.
+        values: Symbols of the shape and of its derivative by ζ → call of a C function.
         slopes: Symbol of a signal → derivatives of factor and shape.
     """
 
@@ -453,7 +452,7 @@ def local_shape(
     """Return a local shape and its derivatives by states.
 
     Args:
-        slot: Number of the shape, part of its parameters' names.
+        slot: Number of the shape, which is part of its parameters' names.
         number: Function from a parameter's name to its symbol.
     """
     import sympy
@@ -482,7 +481,7 @@ def local_shape(
 
 
 def bump(x: Any) -> Any:
-    """Return (1 − x²/4)³ where positive, for arrays or symbols."""
+    """Return (1 − x²/4)³ for |x| < 2, else 0, of arrays or symbols."""
     below = 1 - x * x / REACH**2
     return ((below + abs(below)) / 2) ** 3
 

@@ -1,6 +1,6 @@
 """Kernel interface: layout, filter and simulation of a log.
 
-A kernel need not be generated: any object with a `Layout` and the two calls will do, also a foreign FMU.
+A kernel need not be generated: any object with the methods of `Kernel` can be used, also a foreign FMU.
 """
 
 from __future__ import annotations
@@ -14,11 +14,11 @@ import numpy as np
 
 from cosim.core.arrays import Array, NamedValues
 
-DISTURBANCE = "disturbance."  # prefix of a forced state's unknown input, a state of its own
-CONSTANT = "constant."  # prefix of a parameter as constant state, for the filter to estimate
-DEVIATION = "deviation."  # prefix of the deviation of a free run's output, which unknown inputs drive
-EARLIER = "earlier."  # prefix of the deviation in the row before, which stands for hidden states
-START = "start."  # prefix of a start value of an FMU for co-simulation, a constant state
+DISTURBANCE = "disturbance."  # prefix of a forced state's unknown input, which is an additional state
+CONSTANT = "constant."  # prefix of a parameter that is a constant state, which the filter estimates
+DEVIATION = "deviation."  # prefix of the deviation of a free run's output, driven by unknown inputs
+EARLIER = "earlier."  # prefix of this deviation in the previous row, which represents hidden states
+START = "start."  # prefix of a start value of an FMU for co-simulation, which is a constant state
 MEMORY = "disturbance.time"  # parameter with the correlation time of unknown inputs [s]
 
 
@@ -31,16 +31,16 @@ class Layout:
         states: Names in the order of `x`.
         inputs: Names in the order of `u`.
         outputs: Names of the measured outputs in the order of `y`.
-        stochastic: Indices of states between process noise and a measured output.
+        stochastic: Indices of states that process noise reaches and that influence a measured output.
         noisy: Indices within `stochastic` of the unknown inputs.
-        memory: Number of stored values.
+        memory: Number of values in the memory of effects.
         delay: Index of the delay parameter, −1 without delay.
-        driven: Indices of noise-free states with influence on a measured output.
+        driven: Indices of states that the noise does not reach but that influence a measured output.
         carrying: Indices of stochastic states whose only random source is a constant state.
-        rates: State → state equal to its derivative.
+        rates: State → state that equals its derivative.
         is_free_run: True if unknown inputs drive deviations of the outputs of a free run.
-        along: Parameter → neutral value of each term of a free run that depends on a position or level.
-        positions: Indices of the measured outputs that are these positions and levels.
+        along: Parameter → neutral value, for terms of a free run that depend on a position or level.
+        positions: Indices of the measured outputs for these positions and levels.
     """
 
     parameters: tuple[str, ...]
@@ -80,7 +80,7 @@ class Layout:
 
     @property
     def forced(self) -> tuple[str, ...]:
-        """Return the names of the states with forced equations: process noise stands for a possibly missing effect."""
+        """Return the names of the states with forced equations, whose process noise represents missing effects."""
         return tuple(self.states[k].removeprefix(DISTURBANCE) for k in self.noise_places)
 
     @cached_property
@@ -97,10 +97,10 @@ class Data:
         u: Inputs, shape (rows, inputs).
         y: Measurements, shape (rows, outputs), NaN if missing.
         substeps: Number of RK4 steps from row to row.
-        interpolated: Inputs to interpolate between rows; the rest is held.
-        late: Age of each reading in rows, −½ … ½, shape (rows, outputs); None if all are on time.
+        interpolated: True for inputs to interpolate between rows; the other inputs are held.
+        late: Age of each reading relative to its row, −½ … ½ rows, shape (rows, outputs); None if all are 0.
         lags: Time constant of each output's sensor in rows, shape (outputs,); None without lags.
-        settle: Number of rows after the first in which the covariance stays P0, while states settle.
+        settle: Number of rows after the first one in which the covariance is kept at P0 while states settle.
     """
 
     step: float
@@ -127,7 +127,7 @@ class Data:
 
 @dataclass(frozen=True)
 class Filtered:
-    """Innovations and variances (rows, outputs) before each measurement update; states and memory after.
+    """Innovations and their variances (rows, outputs) before each measurement update; states and memory after it.
 
     Attributes:
         covariances: Covariance of the stochastic states after each update; None if the kernel has no covariance.
@@ -142,7 +142,7 @@ class Filtered:
 
 @dataclass(frozen=True)
 class Simulated:
-    """Noise-free simulation: outputs (rows, outputs), states and memory (rows, …); NaN before the first row."""
+    """Noise-free simulation: outputs (rows, outputs), states and memory (rows, …); NaN before row `first`."""
 
     outputs: Array
     states: Array
@@ -163,21 +163,21 @@ def no_simulated(layout: Layout, data: Data) -> Simulated:
 
 
 class Kernel(Protocol):
-    """Filter and simulation of a log."""
+    """Interface of objects that filter and simulate a log."""
 
     @property
     def layout(self) -> Layout:
         """Return the layout of the arrays."""
 
     def run(self, data: Data, p: Array, x0: Array, P0: Array, q: Array, r: Array, *, states: bool = False) -> Filtered:
-        """Filter one log; a diverging filter gives infinite errors.
+        """Filter one log. If the filter diverges, the innovations are infinite.
 
         Args:
             p: Parameter values.
             x0: Initial state.
             P0: Initial covariance.
-            q: Noise density of each stochastic state.
-            r: Variance of each output, or of each row and output.
+            q: Process noise density of each stochastic state [unit²/s].
+            r: Measurement noise variance of each output, or of each row and output.
         """
 
     def simulate(
@@ -191,16 +191,16 @@ class Kernel(Protocol):
 
 
 Inputs = tuple[Data, Array, Array, Array, Array, Array]  # arguments of `Kernel.run`
-Begin = tuple[Data, Array, Array, Array, "Array | None", int]  # arguments of `Kernel.simulate`, the last is `first`
+Begin = tuple[Data, Array, Array, Array, "Array | None", int]  # arguments of `Kernel.simulate`; the last one is `first`
 
 
 def filter_all(kernel: Kernel, inputs: Sequence[Inputs]) -> Sequence[Filtered]:
-    """Filter several logs, in one call if the kernel offers it."""
+    """Filter several logs, in one call if the kernel supports this."""
     together: Any = getattr(kernel, "call_all", None)
     return together("run", inputs) if together else [kernel.run(*each) for each in inputs]
 
 
 def simulate_all(kernel: Kernel, begins: Sequence[Begin]) -> Sequence[Simulated]:
-    """Simulate several times, in one call if the kernel offers it."""
+    """Make several simulations, in one call if the kernel supports this."""
     together: Any = getattr(kernel, "call_all", None)
     return together("simulate", begins) if together else [kernel.simulate(*b[:-1], first=b[-1]) for b in begins]

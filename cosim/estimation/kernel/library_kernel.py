@@ -1,4 +1,4 @@
-"""Filters in C: of a model, compiled once for its measured outputs, and with the library of an FMU in a worker."""
+"""Filters in C: of a model, compiled for its measured outputs; and of an FMU, with its library, in a worker process."""
 
 from __future__ import annotations
 
@@ -33,14 +33,14 @@ class _Log(ctypes.Structure):
         *((name, ctypes.c_double) for name in ("step", "start")),
         *((name, ctypes.c_void_p) for name in ("u", "y", "ramps", "late", "lags")),
     )
-    arrays: list[Array]  # to which it has addresses
+    arrays: list[Array]  # arrays whose addresses the structure contains
 
 
 class CompiledKernel:
-    """Kernel in C; an array without rows stands for no array.
+    """A kernel in C. An array without rows means that there is no such array.
 
     Raises:
-        NoCompiler: No C compiler exists.
+        NoCompiler: There is no C compiler.
         CompilerFailed: The compiler reports an error.
     """
 
@@ -71,7 +71,7 @@ class CompiledKernel:
     def simulate_from(
         self, data: Data, p: Array, points: tuple[Sequence[int], Any, Any], length: int
     ) -> list[Simulated]:
-        """Simulate rows of a log from each of some rows, as `Problem.simulate_from`."""
+        """Simulate a log from each of some rows, as `Problem.simulate_from`."""
         rows, states, memory = np.array(points[0], np.int32), _contiguous(points[1]), _contiguous(points[2])
         sizes = len(self.layout.outputs), len(self.layout.states), self.layout.memory
         made = [np.full((len(rows), length + 1, size), np.nan) for size in sizes]
@@ -84,10 +84,10 @@ class CompiledKernel:
         return [Simulated(*(each[:end] for each in run)) for end, *run in zip(ends, *made, strict=True)]
 
     def _use(self, p: Array, data: Data, x0: Array) -> None:
-        """Prepare the functions of the model, which are those of a library in a derived class."""
+        """Prepare the functions of the model; a derived class prepares those of a library."""
 
     def _log(self, data: Data, y: Array | None = None, late: Array | None = None, lags: Array | None = None) -> _Log:
-        """Return a log for C, by default without readings; it keeps its arrays."""
+        """Return a log as a C structure, by default without readings; the structure references its arrays."""
         u, *past = (_contiguous(np.empty(0) if a is None else a) for a in (data.u, y, late, lags))
         ramps: Any = np.array([name in data.interpolated for name in self.layout.inputs], np.int32)
         arrays = [u, past[0], ramps, *past[1:]]
@@ -98,7 +98,7 @@ class CompiledKernel:
 
 
 def _contiguous(a: Array) -> Array:
-    """Return an array as contiguous doubles, as C needs them."""
+    """Return an array as contiguous doubles, as C requires."""
     return np.require(a, np.float64, ["C"])
 
 
@@ -107,15 +107,15 @@ def _address(a: Any) -> ctypes.c_void_p:
 
 
 NAME = "model"  # component name in messages
-KEPT = 32  # free runs and responses
-HIDDEN, EXACT = 1.5, 1e-6  # fall of ln squared errors from which a state is hidden; share of the squared change
+KEPT = 32  # cached free runs and responses
+HIDDEN, EXACT = 1.5, 1e-6  # least fall of ln squared error by a hidden state; share of squared change
 STEP = 1e-6  # step of differences, as a share of a state's usual size
 
 FUNCTIONS = ("set_time", "set_states", "get_rates", "complete", "step", "set_reals", "get_reals")
 
 
 class _Library(ctypes.Structure):
-    """Functions and variables of an instance, as in `library_calls.c`."""
+    """Functions and variables of an FMU instance, as the structure in `library_calls.c`."""
 
     _fields_ = (
         *((name, ctypes.c_void_p) for name in ("instance", *FUNCTIONS, "inputs", "outputs", "steps")),
@@ -129,13 +129,13 @@ NO_LIMITS = Limits()
 
 
 class LibraryOf(NamedTuple):
-    """An FMU for a kernel.
+    """An FMU whose library a kernel calls.
 
     Attributes:
-        variables: Parameter of the kernel → variable; others are ignored.
+        variables: Parameter of the kernel → variable of the FMU; other parameters are ignored.
         sizes: Usual size of each state, for differences.
-        starts: In co-simulation: variable of each start state, with its usual size.
-        values: Parameter values for the effect of start states on the outputs.
+        starts: Co-simulation: variable of each start state → its usual size.
+        values: Parameter values at which the effect of start states on the outputs is computed.
         limits: Limits of a pass over a log; `step` limits its duration.
         directions: Directions of forces, which need a second instance.
         neutral: Parameters of the terms that act along directions, with their neutral values.
@@ -153,7 +153,7 @@ class LibraryOf(NamedTuple):
 
 
 class LibraryInstance:
-    """An instance of an FMU in continuous-time mode, initialized again whenever a parameter changes."""
+    """An FMU instance in continuous-time mode, which is initialized again whenever a parameter changes."""
 
     def __init__(self, fmu: LibraryOf, *, stepped: bool = False) -> None:
         self._path, self._description, self._stepped = fmu.path, fmu.description, stepped
@@ -163,10 +163,10 @@ class LibraryInstance:
         self._functions_of = _Library()
 
     def prepare(self, values: NamedValues, start: float = 0.0, stop: float = 1.0) -> _Library:
-        """Return the functions of an instance with these parameter values, of co-simulation at its start.
+        """Return the functions of an instance with these parameter values; for co-simulation, at its start time.
 
         Raises:
-            SimulationError: The FMU refuses them.
+            SimulationError: The FMU refuses the values.
         """
         if self._values == values and not self._stepped:
             return self._functions_of
@@ -180,7 +180,7 @@ class LibraryInstance:
         return self._functions_of
 
     def _functions(self, block: FmuBlock) -> _Library:
-        """Return the functions of the library."""
+        """Return the functions of the library, for C."""
         fmu, version = block.instance.fmu, int(self._description.fmiVersion[0])
         kind, state = ("Real", "") if version == 2 else ("Float64", "ContinuousState")
         names = {"set_reals": f"Set{kind}", "get_reals": f"Get{kind}"}
@@ -199,7 +199,7 @@ class LibraryInstance:
 
 
 class LibraryKernel(CompiledKernel):
-    """Kernel of an FMU with terms."""
+    """Kernel of an FMU with added terms."""
 
     def __init__(self, generated: Generated, fmu: LibraryOf) -> None:
         claim(fmu.path)
@@ -211,7 +211,7 @@ class LibraryKernel(CompiledKernel):
         self._along = {order.index(n): v for n, v in self.layout.along.items() if self.layout.positions}
         shapes = f"{PREFIX}.", f"{LOCAL}."
         self._not_of_run = [k for k, n in enumerate(order) if n == MEMORY or n.startswith(shapes)]
-        self._last: dict[tuple[Any, ...], Any] = {}  # free runs and responses
+        self._last: dict[tuple[Any, ...], Any] = {}  # last free runs and responses
 
     def run(self, data: Data, p: Array, x0: Array, P0: Array, q: Array, r: Array, *, states: bool = False) -> Filtered:
         """Filter one log, as `Kernel.run`."""
@@ -219,7 +219,7 @@ class LibraryKernel(CompiledKernel):
             self._use(p, data, x0)
             return super().run(data, p, x0, P0, q, r, states=states)
         follows = any(p[k] != neutral for k, neutral in self._along.items())
-        if follows and not _asks_past(data):  # the filter makes the run
+        if follows and not _asks_past(data):  # then the filter itself makes the free run
             counts = len(self.layout.outputs), len(self.layout.states), self.layout.memory
             run = Simulated(*(np.zeros((len(data.u), count)) for count in counts))
         else:
@@ -232,12 +232,12 @@ class LibraryKernel(CompiledKernel):
         return super().run(data, p, x0, P0, q, r, states=states)
 
     def call(self, method: str, passes: Sequence[Any], options: Mapping[str, Any]) -> tuple[list[Any], float]:
-        """Call a method with the arguments of each pass; return results and processor time [s]."""
+        """Call a method with the arguments of each pass; return the results and the processor time [s]."""
         begin = time.process_time()
         return [getattr(self, method)(*each, **options) for each in passes], time.process_time() - begin
 
     def _free_run(self, data: Data, p: Array, x0: Array) -> Simulated:
-        """Return the free run at parameter values; the last ones are kept, since noise levels change more often."""
+        """Return the free run at parameter values, cached, since fits often change only noise levels."""
         acting = p.copy()
         acting[self._not_of_run] = 0.0
         run: Simulated = self._cached(
@@ -246,7 +246,7 @@ class LibraryKernel(CompiledKernel):
         return run
 
     def _cached(self, numbers: Sequence[Array], data: Data, make: Callable[[], Any]) -> Any:
-        """Return what `make` makes of numbers and of all on which free runs of a log depend; the last are kept."""
+        """Return the result of `make`, cached by `numbers` and the inputs of a log; only the last results are kept."""
         key = data.u.tobytes(), data.interpolated, data.start, data.step, data.substeps, *(n.tobytes() for n in numbers)
         made = self._last[key] = self._last.pop(key) if key in self._last else make()
         for oldest in [*self._last][:-KEPT]:
@@ -254,9 +254,9 @@ class LibraryKernel(CompiledKernel):
         return made
 
     def _bends(self, data: Data, p: Array, x0: Array, outputs: Array) -> Array:
-        """Return the distance of the outputs, halfway to each row, from a line; 0 if no reading is of the past.
+        """Return how far outputs are from a straight line halfway to each row; 0 if no reading is late.
 
-        Without an even number of substeps, an FMU that does not take any step tells nothing.
+        The result is also 0 for an odd number of substeps of an FMU that does not accept steps of any length.
         """
         bends, substeps = np.zeros_like(outputs), data.substeps
         if not _asks_past(data) or (substeps % 2 and not takes_any_step(self._fmu.description)):
@@ -270,10 +270,10 @@ class LibraryKernel(CompiledKernel):
         return np.asarray(np.nan_to_num(bends, posinf=0.0, neginf=0.0))
 
     def responses(self, data: Data, x0: Array) -> tuple[Array, Array]:
-        """Return the slopes of the outputs by each start state (rows, outputs, start states), and the propagation.
+        """Return the outputs' derivatives by start states (rows, outputs, start states), and the propagation.
 
-        They are those at given parameter values, and change little with the parameters. Without start states, pulses of
-        the inputs in the first row tell the propagation.
+        Both are computed at the parameter values of `LibraryOf`, because they change little with the parameters.
+        Without start states, the propagation is computed from pulses of the inputs in the first row.
         """
         p = np.array([self._fmu.values.get(name, 0.0) for name in self.layout.parameters])
 
@@ -300,7 +300,7 @@ class LibraryKernel(CompiledKernel):
         return found
 
     def _use(self, p: Array, data: Data, x0: Array) -> None:
-        """Prepare the instance for the parameter and start values."""
+        """Prepare the FMU instance with parameter and start values."""
         values = {name: float(p[k]) for name, k in self._places.items()}
         values |= zip(
             (name for name, _ in self._fmu.starts), x0[len(x0) - len(self._fmu.starts) :].tolist(), strict=True
@@ -308,7 +308,7 @@ class LibraryKernel(CompiledKernel):
         times = data.start, data.start + len(data.u) * data.step
         prepared = self._instance.prepare(values, *times)
         if any(p[k] != neutral for k, neutral in self._turned.items()):
-            # another instance has other dampings, for the directions
+            # a second instance has other damping values, for the directions
             directions, prepared = self._fmu.directions, _Library.from_buffer_copy(prepared)
             other = {d.parameter: d.changed(values[d.parameter]) for d in directions}
             second = self._second.prepare({**values, **other}, *times)
@@ -320,21 +320,21 @@ class LibraryKernel(CompiledKernel):
             prepared.second, prepared.directions = ctypes.addressof(second), len(directions)
             for name, array in arrays.items():
                 setattr(prepared, name, array.ctypes.data)
-            self._kept = prepared, second, arrays  # C keeps their addresses
+            self._kept = prepared, second, arrays  # C uses their addresses
         self._library.use_library(ctypes.byref(prepared))
 
 
 def _asks_past(data: Data) -> bool:
-    """Return True if a reading depends on outputs before its row."""
+    """Return True if readings depend on outputs before their row."""
     return data.lags is not None or bool(data.late is not None and np.any(data.late))
 
 
 def propagation(responses: Array) -> Array:
-    """Return Φ and Ψ of δ⁺ = Φ·δ + Ψ·δ⁻, the deviations of the outputs of a free run, side by side.
+    """Return [Φ Ψ] of δ⁺ = Φ·δ + Ψ·δ⁻, where δ are deviations of a free run's outputs, and δ⁻ those one row before.
 
-    Any small deviation obeys the same dynamics. Φ and Ψ are their least-squares estimates. An output of which the row
-    before tells a hidden state, e.g. the velocity of a position, has a column in Ψ; the others have zeros there.
-    Growing deviations are scaled to lasting ones. Without responses, both are 0.
+    All small deviations have the same dynamics, of which Φ and Ψ are least-squares estimates. If the previous row of an
+    output shows a hidden state, e.g. the velocity of a position, its column in Ψ is not zero. Growing dynamics are
+    scaled to be constant. Without responses, Φ and Ψ are 0.
 
     Args:
         responses: Deviations of the outputs (rows, outputs, responses).
@@ -355,10 +355,10 @@ def propagation(responses: Array) -> Array:
 
 
 def _with_hidden_states(now: Array, before: Array, after: Array) -> tuple[list[int], Array]:
-    """Return the outputs whose previous row shows a hidden state, and the matrix from `now` and these to `after`.
+    """Return the outputs whose previous row shows a hidden state, and the matrix from `now` and these rows to `after`.
 
-    Outputs are added one by one as long as the next row is predicted far better; of equally good ones, the output that
-    was predicted worst so far.
+    Outputs are added one by one as long as the prediction of the next row improves clearly. Among equally good outputs,
+    the one with the worst prediction so far is added.
     """
     change = np.sum((after - now) ** 2, axis=0)
     change[change == 0.0] = 1.0

@@ -1,1 +1,1 @@
-"""Objects that can be refined: the interface of fits and proofs, and its implementation by a model."""
+"""Subjects, which are objects that can be refined: the interface, and its implementations for models and FMUs."""

@@ -1,4 +1,4 @@
-"""Hypotheses about a subject: a missing effect, a sensor error, or a wrong parameter."""
+"""Candidates for what a subject lacks: an effect, a sensor error, or a correct parameter value."""
 
 from __future__ import annotations
 
@@ -13,21 +13,22 @@ from cosim.model.quantities import Parameter
 if TYPE_CHECKING:
     from cosim.estimation.subject.interface import Subject
 
-# default relative tolerance of a data sheet value, valid in 95 of 100 cases; recalibration within is no finding
+# default relative tolerance of a value from a data sheet, half-width of its 95 % interval; adjustments within are no
+# finding
 TOLERANCE = 0.02
-WIDTHS = 2.0  # standard deviations in a tolerance on each side
+WIDTHS = 2.0  # standard deviations in a tolerance
 
 Kind = Literal["effect", "sensor", "parameter"]
 
 
 @dataclass(frozen=True)
 class Candidate:
-    """A hypothesis: free parameters and start values of its fit.
+    """An effect, sensor error or parameter that is tried, with its free parameters and start values for a fit.
 
     Attributes:
-        complete: Values of the complete error, if a fit that begins without it stays away from them.
-        repeats: Parameter with a period, and the state along which it counts; () for none.
-        among: Number of shapes that were tried before a fit, each as good as a candidate of its own.
+        complete: Values of a complete error, where a fit also starts because a fit from neutral may not reach them.
+        repeats: Parameter that is a period, and the state in whose unit it is; () for none.
+        among: Number of shapes that were tried before a fit, each of which counts as a candidate.
     """
 
     name: str
@@ -56,9 +57,9 @@ def effect(
     """Return an effect or sensor error as a candidate with parameters `name.parameter`.
 
     Args:
-        declared: Parameters by their short names.
-        values: Values of the subject by full names.
-        starts: Additional start values by short names; the first start is zero or the usual size.
+        declared: Parameters, with short names (without `name.`).
+        values: Full name → value in the subject.
+        starts: Additional start values by short names; the first start is always zero or the usual size.
         above: Parameter → lower-bound parameter of the same effect.
     """
     free, first = [], {}
@@ -68,13 +69,13 @@ def effect(
         free.append(Free(full, *p.bounds, usual_size(p), neutral=p.neutral, above=lower))
         first[full] = values[full]
         if p.typical and p.neutral == p.bounds[0]:
-            first[full] = p.bounds[0] + p.typical  # detectable if one-sided
+            first[full] = p.bounds[0] + p.typical  # detectable start value if the effect has one sign only
     others = ({f"{name}.{own}": value for own, value in start.items()} for start in starts)
     return Candidate(name, kind, tuple(free), (first, *others))
 
 
 def usual_size(p: Parameter) -> float:
-    """Return the typical change of a parameter, as scale for start values and steps of a fit."""
+    """Return the typical change of a parameter, which scales start values and steps of a fit."""
     return p.typical or 0.3 * abs(float(p.default)) or 0.1
 
 
@@ -85,12 +86,12 @@ class Free:
     Attributes:
         low: Lower limit.
         high: Upper limit.
-        size: Typical change, for steps of the fit.
+        size: Typical change of the value, which scales steps of the fit.
         prior: Mean and standard deviation; None without a prior.
-        neutral: Value without effect; None for a base parameter.
+        neutral: Value at which the effect vanishes; None for a base parameter.
         parameter: Name of the parameter if the value is for a group of logs; "" if common to all logs.
         group: Name of the group of logs.
-        above: Name of a parameter as lower bound.
+        above: Name of a parameter that is the lower bound; "" for none.
     """
 
     name: str
@@ -105,15 +106,15 @@ class Free:
 
 
 def values_of_special_case(rich: Candidate, simple: Candidate, values: NamedValues) -> dict[str, float]:
-    """Return values that make a rich effect a simple one.
+    """Return parameter values with which a general effect (`rich`) equals a special one (`simple`).
 
-    There are none if neither contains the other.
+    The result is empty if `simple` is not a special case of `rich`.
 
-    A parameter that is at least another one, such as a breakaway force and a friction force, makes no difference where
-    both are equal. The simple effect has a parameter of the same name as that other one.
+    A parameter with another parameter as lower bound, such as breakaway force and friction force, has no effect if both
+    are equal. The special effect has only the lower one, under the same name.
 
     Args:
-        values: Parameter values of the simple effect.
+        values: Parameter values of the special effect.
     """
     named = {name.rpartition(".")[2]: values[name] for name in simple.parameters if name in values}
     equal: dict[str, float] = {}
@@ -125,10 +126,10 @@ def values_of_special_case(rich: Candidate, simple: Candidate, values: NamedValu
 
 
 def base_parameters(subject: Subject, values: NamedValues, tolerance: NamedValues) -> list[Free]:
-    """Return base parameters free in every fit, with priors.
+    """Return the base parameters that are free in every fit, with their priors.
 
     Args:
-        tolerance: Parameter → relative tolerance from the study; overrides the model's tolerance.
+        tolerance: Parameter → relative tolerance from the study, which overrides that of the model.
     """
     stated = {p.name: p.tolerance for p in subject.parameters if p.tolerance is not None} | dict(tolerance)
     every = {**{name: stated.get(name, TOLERANCE) for name in subject.calibrated}, **stated}
@@ -151,22 +152,22 @@ def _scale(p: Parameter, value: float) -> float:
     return abs(value) or p.typical or abs(float(p.default)) or 1.0
 
 
-# Parameters with a separate value for each group of logs. In the filter, such a parameter is a constant state θ. A
-# known value of a group starts with variance 0, an unknown one at the expected value with the expected spread.
+# Parameters with a separate value for each group of logs are constant states θ in the filter. A group's known value has
+# start variance 0; an unknown value starts at the expected value with the expected variance.
 
 
 def own(name: str, group: str) -> str:
-    """Return the name of a parameter in a group."""
+    """Return the name of a parameter's value in a group of logs."""
     return f"{name}@{group}"
 
 
 def spread(name: str, group: str) -> str:
-    """Return the name of the standard deviation of a group's value; a missing entry means a known value."""
+    """Return the name of the standard deviation of a group's value; if it has no value, the group's value is known."""
     return f"spread of {name}@{group}"
 
 
 def drop_own_parameters(candidates: Sequence[Candidate], names: Sequence[str]) -> Iterator[Candidate]:
-    """Yield the candidates with parameters per log removed, since these are free in every hypothesis."""
+    """Yield the candidates without parameters that have a value per log and are free in every hypothesis."""
     for c in candidates:
         if free := tuple(f for f in c.free if f.name not in names):
             starts = tuple({n: v for n, v in s.items() if n not in names} for s in c.starts)
@@ -174,5 +175,5 @@ def drop_own_parameters(candidates: Sequence[Candidate], names: Sequence[str]) -
 
 
 def kind_within(c: Candidate, subject: Subject) -> Kind:
-    """Return the kind of a candidate; an effect already in the model counts as a parameter."""
+    """Return the kind of a candidate; an effect that the model already has counts as a parameter."""
     return "parameter" if c.name in subject.present else c.kind

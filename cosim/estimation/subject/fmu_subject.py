@@ -1,7 +1,7 @@
-"""FMUs as subjects: terms of the general catalogue are added to what the FMU's library computes.
+"""FMUs as subjects of refinement: terms of the general catalogue are added to the FMU's equations.
 
-In model exchange a filter evaluates the derivatives of the library. In co-simulation the library runs freely, and the
-filter estimates the deviations of its outputs.
+In model exchange, the filter calls the FMU for derivatives. In co-simulation, the FMU is simulated over the whole log,
+and the filter estimates the deviations of its outputs.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ from cosim.terms.catalogue import bound_terms, delay_of, experiments_for, sensor
 from cosim.terms.code import Dependencies, FmuModel, fmu_model, term_code
 from cosim.terms.language import Direction, Force, Opposite, Place, with_place
 
-SUBSTEPS = 8  # steps of co-simulation between rows, for forces that follow the outputs
+SUBSTEPS = 8  # co-simulation steps between rows, for forces that depend on the outputs
 WAYS = {
     "model-exchange": "model exchange: a filter over the states of the FMU",
     "co-simulation": "co-simulation: simulations of whole logs, with estimated deviations of the outputs",
@@ -56,8 +56,8 @@ class FmuSubject(ModelSubject):
     """An FMU with the terms that it may lack.
 
     Attributes:
-        structure: Structure of the FMU along the logs.
-        limits: Limits of a pass of the filter over a log.
+        structure: Structure of the FMU, found by simulation along the logs.
+        limits: Limits of time and memory for a pass of the filter over a log.
     """
 
     model: FmuModel
@@ -86,13 +86,13 @@ class FmuSubject(ModelSubject):
         """Return the subject of a probed FMU.
 
         Args:
-            logs: Estimation logs, for usual sizes.
-            terms: Terms of the user.
+            logs: Estimation logs, which determine the usual sizes of signals.
+            terms: Terms that the user has added to the catalogue.
         """
         if structure.way == "co-simulation":
             with Worker(*MODULES) as worker, DriveApart(worker, logs[0], structure.fmu) as drive:
                 shown = start_parameters(drive)
-            # start parameters are start values, not parameters
+            # parameters for start values are not parameters of fits
             known, variables = {s.shown for s in structure.starts}, {p.name: p.quantity for p in structure.parameters}
             more = []
             for k, output in enumerate(structure.outputs):
@@ -112,20 +112,20 @@ class FmuSubject(ModelSubject):
 
     @property
     def traits(self) -> Traits:
-        """Return the signal properties, with rates from the probed pairs."""
+        """Return the signal properties, with output derivatives from the structure of the FMU."""
         outputs = {**{q.name: q.name for q in self.structure.outputs}, **self.structure.shown}
         pairs = [p for p in self.structure.pairs if p.gain == 1.0 and {p.position, p.velocity} <= outputs.keys()]
         return Traits.of(self.model, {with_place(outputs[p.position]): with_place(outputs[p.velocity]) for p in pairs})
 
     @property
     def measured_states(self) -> frozenset[str]:
-        """Return the names of the states that are measured. Such a state has the name of its output."""
+        """Return the names of the states that are measured. A measured state has the name of its output."""
         if self.is_stepped:
             return frozenset(with_place(q.name) for q in self.structure.outputs)
         return frozenset(map(with_place, self.structure.shown.values()))
 
     def candidates(self, varied: Sequence[str]) -> list[Candidate]:
-        """Return terms, sensor errors and parameters as candidates; a periodic force names its period."""
+        """Return terms, sensor errors and parameters as candidates; a periodic force has its period in `repeats`."""
         states, catalogue = self.model.base_states, self.model.catalogue
         forces = [kind for kind in catalogue if issubclass(kind, Force) and kind.repeats]
         periods = {kind.name: (f"{kind.name}.{kind.repeats}", states[kind.place.position].name) for kind in forces}
@@ -135,7 +135,7 @@ class FmuSubject(ModelSubject):
         """Return the filter with the FMU's library.
 
         Raises:
-            InputError: Parameters as constant states, which a library cannot have, or no compiler.
+            InputError: `constant` is not empty, which an FMU does not support, or there is no compiler.
         """
         if constant:
             raise InputError.at(
@@ -146,7 +146,7 @@ class FmuSubject(ModelSubject):
         return kernel(self.model, measured, unnamed, fmu=self._library_of(self.structure.fmu, self._description))
 
     def _library_of(self, fmu: Path, description: Any) -> LibraryOf:
-        """Return an FMU for a kernel, with the usual sizes and the start parameters."""
+        """Return the FMU for a kernel, with usual sizes of states and with start parameters."""
         sizes = [self.structure.scales.get(q.name, 0.0) for q in self.structure.states]
         starts = tuple((s.name, s.size) for s in self.structure.starts)
         model = self.model
@@ -161,7 +161,7 @@ class FmuSubject(ModelSubject):
         return {q.name: q.start for q in self.states} | own
 
     def start_of_log(self, readings: NamedValues) -> dict[str, float]:
-        """Return the start value of each state, of a start state from the output that shows it."""
+        """Return the start value of each state in a log; for start states, from the output that shows them."""
         start, outputs = self.start(), self.outputs
         for s in self.structure.starts:
             if s.gain and (name := outputs[s.shown].name) in readings:
@@ -171,13 +171,13 @@ class FmuSubject(ModelSubject):
         return {**start, **readings}
 
     def substeps(self, step: float) -> int:
-        """Return the number of integration steps, or of steps of co-simulation, between rows."""
+        """Return the number of integration steps, or of co-simulation steps, between rows."""
         if not self.is_stepped:
             return super().substeps(step)
         return SUBSTEPS if self.structure.pairs and takes_any_step(self._description) else 1
 
     def prediction(self, log: Log) -> Predict | None:
-        """Return None: outliers are found by their neighbours."""
+        """Return None: outliers are detected by comparison with neighbouring readings."""
         return None
 
     def refined(self, claims: NamedValues) -> FmuSubject:
@@ -185,12 +185,12 @@ class FmuSubject(ModelSubject):
         return FmuSubject(super().refined(claims).loaded, self.structure, self.limits)
 
     def replayer(self, place: Workplace) -> Replayer:
-        """Return a replayer of the delivered FMU, or of the model if the FMU cannot be built."""
+        """Return a replayer of the delivered FMU, or of the model (FMU and terms) if the FMU cannot be built."""
         delivered = self._replayed(place.folder)
         outputs = [q.name for q in self.outputs]
         if delivered is None:
             return LibraryReplayer(self, self.kernel(outputs), "own")
-        # The delivered FMU holds terms and values itself.
+        # The delivered FMU already contains terms and values.
         model = self.model
         kept = {"dependencies", "rates", "variables", "shown", "stepped", "starts", "substep", "integrator"}
         attributes = {name: getattr(type(model), name) for name in kept}
@@ -199,18 +199,18 @@ class FmuSubject(ModelSubject):
         return LibraryReplayer(self, kernel(plain, outputs, fmu=of_fmu), "native")
 
     def quick_replayer(self, place: Workplace) -> LibraryReplayer | None:
-        """Return a replayer of the model."""
+        """Return a replayer that uses the kernel."""
         if self._replayed(place.folder) is None:
             return None
         return LibraryReplayer(self, self.kernel([q.name for q in self.outputs]), "own")
 
     def _replayed(self, folder: Path) -> Path | None:
-        """Return the FMU with the terms if it is there and its replays begin wherever those of the model do."""
+        """Return the delivered FMU if its replays can begin at the same rows as those of the model, else None."""
         has_memory = not self.is_stepped and any(e.memory or e.delay for e in self.model.awake)
         return None if has_memory else self._delivered(folder)
 
     def _delivered(self, folder: Path) -> Path | None:
-        """Return the FMU with the terms, built once; None if it cannot be built, with the reason in `undelivered`."""
+        """Return the FMU with terms, built once; None if this fails, with the reason in `undelivered`."""
         if self.undelivered or (self.fmu is not None and self.fmu.is_file()):
             return None if self.undelivered else self.fmu
         model, own = self.model, {p.name for p in self.parameters}
@@ -228,7 +228,7 @@ class FmuSubject(ModelSubject):
         return path
 
     def write(self, scratch: Path, folder: Path, name: str) -> Sequence[Path]:
-        """Write plant.fmu or nearest.fmu: the original with the terms and values."""
+        """Write plant.fmu or nearest.fmu: the original FMU with the claimed terms and values."""
         fmu = self._delivered(scratch)
         return () if fmu is None else (Path(copyfile(fmu, scratch / FILES[name][1])),)
 
@@ -239,7 +239,7 @@ class FmuSubject(ModelSubject):
 
 @dataclass
 class LibraryReplayer(Replayer):
-    """Replays by the kernel of a subject."""
+    """Replays of logs by the kernel of a subject."""
 
     subject: FmuSubject
     kernel: Kernel
@@ -256,7 +256,7 @@ class LibraryReplayer(Replayer):
         p = np.array([given.get(n, 1.0) for n in layout.parameters])
         for horizon, begins in starts.items():
             table = np.full((log.rows, len(names)), np.nan)
-            # a library in co-simulation begins at the start of a log only
+            # replays of a co-simulation FMU begin only at the start of a log
             rows = [] if self.subject.is_stepped and math.isfinite(horizon) else sorted(begins)
             ends, runs = [*rows[1:], len(grid) - 1], list[Begin]()
             for k, last in zip(rows, ends, strict=False):
@@ -270,22 +270,22 @@ class LibraryReplayer(Replayer):
             yield Replay(horizon, begun, dict(zip(names, table.T, strict=True)))
 
 
-# The model of a probed FMU: its signals, places with usual sizes along the logs, terms and parameters.
+# The model of a probed FMU: signals, places with usual sizes in the logs, terms and parameters.
 
 
-HORIZON_ROWS, HORIZON_SHARE = 50, 0.1  # duration of replays: least in rows, and usual share of a log
-LATEST = 20  # longest delay of the inputs, in rows
-SLOPE_ROWS = 5  # rows over which the rate of readings is taken
-WIDEST = 100.0  # factor on a parameter without bounds, up and down
-RESOLVED = 0.25  # substep times largest eigenvalue; transition of friction of half the usual force, in steps
+HORIZON_ROWS, HORIZON_SHARE = 50, 0.1  # duration of replays: least number of rows, and usual share of a log
+LATEST = 20  # longest delay of the inputs [rows]
+SLOPE_ROWS = 5  # rows over which the rate of change of readings is computed
+WIDEST = 100.0  # factor by which a parameter without bounds may increase or decrease
+RESOLVED = 0.25  # limit of substep times largest eigenvalue; it determines the friction's smoothing velocity
 
 
 def probed_model(structure: Structure, logs: Sequence[Log], terms: Sequence[type[Any]] = ()) -> FmuModel:
     """Return the model of a probed FMU with every term at every place.
 
     Args:
-        logs: Estimation logs, in names of the FMU.
-        terms: Terms of the user.
+        logs: Estimation logs, with names of FMU variables.
+        terms: Terms that the user has added to the catalogue.
     """
     s, step, is_stepped = structure, logs[0].step, structure.way == "co-simulation"
     states = s.outputs if is_stepped else s.states
@@ -294,12 +294,12 @@ def probed_model(structure: Structure, logs: Sequence[Log], terms: Sequence[type
     inputs, named_outputs = (
         tuple(replace(q, name=with_place(q.name)) for q in group) for group in (s.inputs, s.outputs)
     )
-    # a state has the name of an output that shows it
+    # a state that an output shows has the name of the output
     named = tuple(replace(q, name=with_place(s.shown_as(q.name))) for q in states)
     names = [q.name for q in states]
     rates = {names.index(p.position): names.index(p.velocity) for p in s.pairs if p.gain == 1.0}
     parameters = []
-    for p in s.acting:  # without bounds, it keeps its sign; the size of 0 is the one tried
+    for p in s.acting:  # a parameter without bounds keeps its sign; the usual size of a value 0 is the tried change
         q, (low, high) = p.quantity, p.quantity.bounds
         if q.start != 0.0:
             ends = sorted((q.start / WIDEST, q.start * WIDEST))
@@ -337,15 +337,16 @@ def probed_model(structure: Structure, logs: Sequence[Log], terms: Sequence[type
 
 
 def _columns(logs: Sequence[Log], name: str) -> list[Array]:
-    """Return an input or output in the logs that have it."""
+    """Return an input or output of each log that contains it."""
     signals = [{**log.inputs, **log.outputs} for log in logs]
     return [columns[name] for columns in signals if name in columns]
 
 
 def _size(s: Structure, logs: Sequence[Log], name: str) -> float:
-    """Return the usual size of a signal, its spread.
+    """Return the usual size of a signal: its standard deviation.
 
-    Of an input it is half of its range within the logs, else over all logs, else its value; 1 for a constant of 0.
+    For an input, it is half of its range within a log, otherwise over all logs, otherwise its value; 1 for a constant
+    0.
     """
     columns = _columns(logs, name)
     if all(q.name != name for q in s.inputs) or not columns:
@@ -358,7 +359,7 @@ def _places(s: Structure, logs: Sequence[Log], states: Sequence[Quantity]) -> It
     """Yield every place of terms, with usual sizes along the logs.
 
     Args:
-        states: The states, or the outputs in their place.
+        states: The states; for co-simulation, the outputs.
     """
     step, names, inputs = logs[0].step, [q.name for q in states], [q.name for q in s.inputs]
     units = {q.name: q.unit for group in (s.states, s.inputs, s.outputs) for q in group}
@@ -375,7 +376,8 @@ def _places(s: Structure, logs: Sequence[Log], states: Sequence[Quantity]) -> It
         largest = max((float(np.abs(u).max()) for u in _columns(logs, q.name)), default=0.0) or usual
         sizes = {"u": usual, "M": largest, "T": step}
         yield Place(with_place(q.name), {"u": q.unit, "M": q.unit, "T": "s"}, sizes, k)
-    # Forces at a pair come in through an input or, as a damping tells, change further rates; else they change one rate.
+    # A force on a velocity acts through an input, or changes several derivatives (found by a damping parameter), or
+    # one.
     for pair in s.pairs:
         port = next((p for p in (*(p for p in pair.ports if p.is_alone), *pair.ports)), None)
         damping = next((d for d in s.dampings if d.pair == pair), None)
@@ -387,7 +389,7 @@ def _places(s: Structure, logs: Sequence[Log], states: Sequence[Quantity]) -> It
             continue
         v, x, fastest = pair.velocity, pair.position, rate(pair.velocity)
         own = {"u": unit_of_rate(units[v]), "v": units[v], "q": units[x], "d": units[x]}
-        travel = math.sqrt(12.0) * size(x)  # of a position that takes every value equally often
+        travel = math.sqrt(12.0) * size(x)  # range of a uniformly distributed position
         sizes = {"u": fastest, "v": size(v), "q": size(x), "d": travel}
         ends = names.index(x), names.index(v)
         place = Place(with_place(v), own, sizes, -1, *ends, resolution=RESOLVED * fastest * step)
@@ -403,7 +405,7 @@ def _places(s: Structure, logs: Sequence[Log], states: Sequence[Quantity]) -> It
             own["u"], sizes["u"] = units[port.input], fastest / abs(port.gain)
             place = replace(place, input=inputs.index(port.input), sign=math.copysign(1.0, port.gain))
         yield place
-    for c in s.connections:  # forces between two pairs, in units of the first one's acceleration
+    for c in s.connections:  # forces in connections, in units of the first end's acceleration
         x, v = c.first.position, c.first.velocity
         own = {"u": unit_of_rate(units[v]), "v": units[v], "q": units[x]}
         deflection, speed = c.deflection or size(x), c.speed or size(v)

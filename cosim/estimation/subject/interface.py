@@ -1,11 +1,11 @@
-"""`Subject`: the interface of objects for estimation, refinement and experiments.
+"""`Subject`: the interface of objects that can be fitted, refined and used in experiments.
 
-`ModelSubject` implements it for a `Model`. Another class derives from `Subject` and defines the members without a
+`ModelSubject` implements it for a `Model`. Any other class derives from `Subject` and defines the members without a
 default. Symbols, printed C and Jacobians are not required: a kernel may be Python, a C library, or a foreign FMU in a
 worker process with finite differences.
 
-Fits explore through `kernel`. Proofs replay logs through `replayer`, which contains the delivered object. Several
-threads call both: a kernel without concurrency needs its own lock.
+Fits use `kernel`. Final replays use `replayer`, which contains the delivered object. Several threads call both, so a
+kernel that is not thread-safe needs a lock.
 """
 
 from __future__ import annotations
@@ -29,17 +29,17 @@ from cosim.model.traits import Traits
 from cosim.residuals.drive import MODULES
 from cosim.residuals.windows import Replay
 
-Predict = Callable[[Mapping[str, Rows]], NamedArrays]  # one-step predictions of outputs without some readings
+Predict = Callable[[Mapping[str, Rows]], NamedArrays]  # ignored readings by output → one-step predictions of outputs
 
 
 @dataclass(frozen=True, eq=False)
 class Start:
-    """Start of a replay from filtered past data.
+    """Start of a replay, estimated by the filter from past data.
 
     Attributes:
         states: State of the kernel → value.
-        memory: Stored values of the kernel, in the kernel's order.
-        per_log: Parameter per log → value.
+        memory: Values of the memory of effects, in the kernel's order.
+        per_log: Parameter with a value per log → value.
     """
 
     states: NamedValues
@@ -61,10 +61,10 @@ class Workplace(ExitStack):
 
 
 class Replayer(Protocol):
-    """Replayer of logs through one object.
+    """An object that replays logs through an FMU or model.
 
     Attributes:
-        through: Name of the object in refine.json: `native` or `python` for an FMU, `own` for an object without one.
+        through: Entry in refine.json: `native` or `python` for an FMU, `own` for an object that is not an FMU.
     """
 
     through: str
@@ -74,8 +74,8 @@ class Replayer(Protocol):
     ) -> Generator[Replay, None, None]:
         """Yield the replayed outputs for each horizon [s], in the order of `starts`.
 
-        A run begins at each row of `starts[horizon]`, numbered as in `log`, and ends at the next start. Start rows are
-        not predicted.
+        A replay begins at each row of `starts[horizon]`, numbered as in `log`, and ends at the next start. Start rows
+        have no prediction.
 
         Args:
             data: Log in equal steps with the commands before a start.
@@ -92,25 +92,26 @@ class Subject(Protocol):
 
     Attributes:
         title: Name in reports.
-        inputs, outputs, states: Signals with units; `states` without unknown inputs of equations.
-        horizon: Duration of replays for judgement [s]; infinite: one free run over a log.
-        rate: Communication step of the object's design [s].
+        inputs, outputs, states: Signals with units. Unknown inputs of equations are not `states`.
+        horizon: Duration of the replays that measure errors [s]; infinite: one free run over a log.
+        rate: Communication step for which the object is designed [s].
         parameters: Base parameters, each with an optional tolerance.
         candidate_parameters: `candidate.parameter` → declaration, without sensors.
-        values: Every parameter of its kernel → value; candidates at neutral. (Members below have a default.)
-        calibrated: Base parameters free in every fit, also without a stated tolerance.
+        values: Value of every parameter of the kernel; candidates are at neutral. (All attributes below have a
+            default.)
+        calibrated: Base parameters that are free in every fit, even without a stated tolerance.
         sensors: Possible sensor errors.
-        sensor_variance, start_variance: Variance of output noise, and of states at the start of a log.
-        present: Candidates already in the object; a further change counts as a wrong parameter.
+        sensor_variance, start_variance: Noise variance of outputs, and variance of states at the start of a log.
+        present: Candidates already in the object; a change of their values counts as a wrong parameter.
         excursion: Signal → allowed deviation from its start in an experiment.
-        told_apart_by: Rivals → experiment that separates them, in words.
-        drawn_against: Candidate → signals for plots.
+        told_apart_by: Candidates → sentence on the experiment that separates them.
+        drawn_against: Candidate → signals over which its effect is plotted.
         inestimable: Parameters that a filter cannot estimate, such as a delay of commands.
         probed: True for an FMU, whose terms are those of a general catalogue.
         display: Unit → name of its display unit, factor and offset to its values.
-        source: Origin, for the provenance.
-        undelivered: Reason why `write` writes nothing although it should.
-        missing_platforms: Platforms of an FMU that the delivered FMU lacks.
+        source: Origin of the subject, for provenance in reports.
+        undelivered: Reason why `write` cannot write the FMU; "" if it can.
+        missing_platforms: Platforms of the original FMU that the delivered FMU does not support.
         untried: Effects that cannot be candidates, with the reason.
     """
 
@@ -143,10 +144,10 @@ class Subject(Protocol):
     # -- required members ------------------------------------------------------------------------
 
     def candidates(self, varied: Sequence[str]) -> Sequence[Candidate]:
-        """Return every hypothesis about missing or wrong parts.
+        """Return all candidates: effects, sensor errors and parameters that may be missing or wrong.
 
         Args:
-            varied: Inputs with variation in some log; parameters without their required inputs are excluded.
+            varied: Inputs that vary in some log. Parameters that need the variation of another input are left out.
         """
         ...
 
@@ -154,8 +155,8 @@ class Subject(Protocol):
         """Return a filter kernel for logs with these measured outputs.
 
         Args:
-            unnamed: Include unnamed terms (`cosim.estimation.kernel.generate`), if available.
-            constant: Parameters as constant states, estimated in the filter.
+            unnamed: Include unmodelled dynamics (`cosim.estimation.kernel.generate`), if the kernel supports them.
+            constant: Parameters that are constant states, which the filter estimates.
 
         Raises:
             InputError: A parameter cannot be a constant state.
@@ -171,7 +172,7 @@ class Subject(Protocol):
         ...
 
     def refined(self, claims: NamedValues) -> Subject:
-        """Return the subject with changed or claimed parameter values."""
+        """Return the subject with other parameter values, such as claimed ones."""
         ...
 
     # -- members with a default ------------------------------------------------------------------
@@ -209,23 +210,23 @@ class Subject(Protocol):
         return 1
 
     def with_finer_steps(self, times: float) -> Self:
-        """Return the subject with as many times the integration steps."""
+        """Return the subject with `times` as many integration steps."""
         return self
 
     def prediction(self, log: Log) -> Predict | None:
-        """Return a one-step predictor for the detection of outliers; None to use neighbours."""
+        """Return a one-step predictor, used to detect outliers; None to detect them by neighbouring readings."""
         return None
 
     def quick_replayer(self, place: Workplace) -> Replayer | None:
-        """Return a faster replayer with equal results, or None.
+        """Return a faster replayer with equal results; None if there is none.
 
         Raises:
-            InputError: The reason why an expected replayer is unavailable.
+            InputError: The faster replayer cannot be made; the message says why.
         """
         return None
 
     def write(self, scratch: Path, folder: Path, name: str) -> Sequence[Path]:
-        """Write the subject's files to `scratch`, for `folder`, and return their paths.
+        """Write the subject's files to `scratch`, from which they will be moved to `folder`; return their paths.
 
         A subject that exists only in Python writes nothing.
 
@@ -235,9 +236,9 @@ class Subject(Protocol):
         return ()
 
     def main_file(self, name: Literal["refined", "nearest"]) -> str:
-        """Return the name of the file that `write` writes for further use."""
+        """Return the name of the main file that `write` writes."""
         return (REFINED if name == "refined" else NEAREST)[0]
 
     def use(self, folder: Path, name: Literal["refined", "nearest"] = "refined") -> Sequence[str]:
-        """Return a command line for the delivered files in `folder`; empty without files."""
+        """Return a command line that uses the delivered files in `folder`; empty without files."""
         return ()

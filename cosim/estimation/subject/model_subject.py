@@ -1,4 +1,4 @@
-"""Models as subjects: the kernel is generated from the equations, and the FMU is delivered and replayed."""
+"""Models as subjects of refinement: the kernel is generated from the equations; the FMU is replayed and delivered."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class ModelSubject(Subject):
 
     Attributes:
         loaded: Model with origin, parameter values and known sensor errors.
-        fmu: FMU of the model, once built.
+        fmu: FMU of the model; None before it is built.
     """
 
     def __init__(self, loaded: LoadedModel) -> None:
@@ -72,7 +72,7 @@ class ModelSubject(Subject):
 
     @property
     def measured_states(self) -> frozenset[str]:
-        """Return the states measured by an output of the same name, tested at a single state."""
+        """Return the states that equal an output of the same name, as tested at a single state."""
         return frozenset(shown_states(self.model))
 
     def candidates(self, varied: Sequence[str]) -> list[Candidate]:
@@ -87,12 +87,12 @@ class ModelSubject(Subject):
                 starts=kind.starts,
                 above=kind.at_least,
             )
-            if c.name in self.present:  # an effect of the model is recalibrated from its values
+            if c.name in self.present:  # an effect that the model has is adjusted from its values
                 c = replace(c, starts=({name: self.values[name] for name in c.parameters},))
             elif (whole := getattr(kind, "complete", None)) is not None:
                 c = replace(c, complete=dict.fromkeys(c.parameters, whole))
             found.append(c)
-        # parameters are invisible without the variation of some input
+        # some parameters can be estimated only if certain inputs vary
         suspects = [name for name, inputs in self.model.suspect.items() if any(i in varied for i in inputs)]
         for name in (*self.model.calibrated, *suspects):
             free = base_parameter(self, name, self.values, None)
@@ -108,22 +108,22 @@ class ModelSubject(Subject):
         return dict(zip((q.name for q in self.states), self.model.start(), strict=True))
 
     def substeps(self, step: float) -> int:
-        """Return the number of substeps within the model's limit."""
+        """Return the number of integration steps in a communication step [s], within the model's limit."""
         return substeps(step, self.model.substep)
 
     def with_finer_steps(self, times: float) -> Self:
-        """Return the subject with as many times the integration steps."""
+        """Return the subject with `times` as many integration steps."""
         finer = copy(self)
         finer.model = self.model.with_substep(self.model.substep / times, self.model.chosen_integrator)
         finer.loaded, finer.fmu = replace(self.loaded, model=finer.model), None
         return finer
 
     def prediction(self, log: Log) -> Predict | None:
-        """Return a one-step predictor of a log's rows."""
+        """Return a one-step predictor of the outputs in a log."""
         return partial(predicted_outputs, self.model, log)
 
     def refined(self, claims: NamedValues) -> ModelSubject:
-        """Return the model with the claimed values; values of sensor errors are stored separately."""
+        """Return the model with the claimed values; sensor errors are stored separately from parameters."""
         loaded = self.loaded
         parameters = {**loaded.parameters, **{n: v for n, v in claims.items() if n not in self.sensor_parameters}}
         sensors = {**loaded.sensors, **{n: v for n, v in claims.items() if n in self.sensor_parameters}}
@@ -141,7 +141,7 @@ class ModelSubject(Subject):
         return self.fmu
 
     def quick_replayer(self, place: Workplace) -> Replayer | None:
-        """Return a replayer of the class's native FMU, for all parameter values."""
+        """Return a replayer of the native FMU of the model's class, in which parameter values are set."""
         fmu = place.folder / f"class{self.substeps(self.rate)}.fmu"
         if not fmu.is_file():
             class_fmu(self.loaded, fmu)
@@ -154,12 +154,12 @@ class ModelSubject(Subject):
         return yaml, Path(copyfile(self._built(scratch), fmu))
 
     def use(self, folder: Path, name: Literal["refined", "nearest"] = "refined") -> list[str]:
-        """Return a command line for the FMU."""
+        """Return a command line that simulates the FMU."""
         return ["cosim", "simulate", str(folder / FILES[name][1])]
 
 
 def new_fmu(folder: Path) -> Path:
-    """Return the place of a further FMU for replays."""
+    """Return the path for a new FMU in a folder."""
     return folder / f"replayed{len([*folder.glob('replayed*.fmu')])}.fmu"
 
 
@@ -174,10 +174,10 @@ def neutral_values(model: Model) -> dict[str, float]:
 
 @dataclass
 class FmuReplayer(Replayer):
-    """A model's FMU in a worker process.
+    """Replays of logs through a model's FMU, in a worker process.
 
     Attributes:
-        parameters: Values to set on the FMU if different from its defaults.
+        parameters: Parameter values to set in the FMU if they differ from its defaults.
     """
 
     model: Model
@@ -189,7 +189,7 @@ class FmuReplayer(Replayer):
     def replays(
         self, log: Log, data: Data, values: NamedValues, starts: Mapping[float, Mapping[int, Start]]
     ) -> Generator[Replay, None, None]:
-        """Yield one replay for each horizon, with one load of the FMU."""
+        """Yield one replay for each horizon, for which the FMU is loaded once."""
         limits, interpolated = self.place.limits, data.interpolated
         with drive_in(self.place.worker, log, self.fmu, limits=limits, interpolated=interpolated) as drive:
             for horizon, begins in starts.items():
@@ -201,7 +201,7 @@ class FmuReplayer(Replayer):
 def start_values(model: Model, start: Start) -> dict[str, float]:
     """Return the FMU's start parameters for a replay.
 
-    Delays and sensor errors are excluded.
+    The memory of delays, and sensor errors, are left out.
     """
     awake, plant = {e.name for e in model.awake}, model.declared
     values = {name: value for name, value in start.per_log.items() if name in plant}
@@ -218,12 +218,12 @@ def start_values(model: Model, start: Start) -> dict[str, float]:
 
 @cache
 def shaping_effects(catalogue: tuple[type[Effect], ...]) -> tuple[Any, ...]:
-    """Return the command-shaping effects of a catalogue, in order."""
+    """Return the effects of a catalogue that shape the command, in order."""
     return tuple(overrides(tuple(kind() for kind in catalogue), "shape", Effect))
 
 
 def delayed_commands(model: Model, values: NamedValues, log: Log, data: Data, k: int) -> Memory:
-    """Return commands still in a delay at row k, (start time, command), oldest first."""
+    """Return the commands that are still in a delay at row k, as (start time, command), oldest first."""
     shaping = overrides(model.awake, "shape", Effect)
     waiting: dict[tuple[int, int], Any] = {}
     for place, shaper in enumerate(shaping):

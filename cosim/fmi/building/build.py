@@ -48,19 +48,21 @@ def build(
 
     Args:
         folder: Folder for the FMUs.
-        model: Registered model (with its controllers), model.yaml, FILE.py:Class, or the result folder of a refine.
-        nearest: Use nearest.yaml instead of model.yaml of the refine folder.
+        model: Registered model (with its controllers), model.yaml, FILE.py:Class, or a folder written by `cosim
+            refine`.
+        nearest: Use nearest.yaml of that folder instead of model.yaml.
         native: Build compiled FMUs, which need no Python.
         fmi: FMI version of native FMUs, 2 or 3.
         platforms: Platforms of native FMUs; none means this machine.
-        design: YAML file of weights and numbers for the design of the controllers; sets their start values.
+        design: YAML file with weights and numbers of a controller design, which sets the start values of the
+            controllers.
         tell (in Python): Function called with each warning of the design.
 
     Returns:
         Paths of the FMUs.
 
     Raises:
-        InputError: Every fault of the input.
+        InputError: The input is wrong; the error names all faults.
     """
     from cosim.fmi.fmu_build import Recipe
     from cosim.fmi.fmu_build import build as build_fmu
@@ -86,7 +88,7 @@ def build(
 
 
 def _write(folder: Path, makers: Mapping[str, Callable[[Path], Made]]) -> dict[str, Made]:
-    """Write the files made by functions of a path; write none if one of them fails."""
+    """Write files by functions that each write to a given path; write no file if one function fails."""
     with temporary_folder("build") as drafts:
         made = {name: make(drafts / name) for name, make in makers.items()}
         for name in makers:
@@ -140,7 +142,7 @@ def build_native(
 def class_fmu(loaded: LoadedModel, path: Path) -> Path:
     """Build the native FMU of a model's class.
 
-    Parameters have their declared defaults, so one compiled FMU serves all parameter values.
+    Parameters have their declared defaults, so that compiling once is enough for all parameter values.
 
     Raises:
         InputError: The build is impossible.
@@ -157,9 +159,9 @@ def _native_of(kind: type[Model], source: str, substep: float | None, integrator
 
 
 def _natives(loaded: LoadedModel, starts: Mapping[str, Mapping[str, Value]]) -> Iterator[tuple[str, Native]]:
-    """Yield the native FMUs of a registered model, the plant first, with designed start values by file.
+    """Yield file name and native FMU of a registered model, the plant first, with designed start values by file name.
 
-    An expression without C equivalent is reported at its line.
+    For an expression without C equivalent, the error names its line.
     """
     from cosim.fmi.native.package import native_model
     from cosim.model.symbolic.trace import UnprintableModel
@@ -168,7 +170,7 @@ def _natives(loaded: LoadedModel, starts: Mapping[str, Mapping[str, Value]]) -> 
         yield "plant", native_model(loaded.model, loaded.recipe(), f"{type(loaded.model).__name__}Plant")
     except (UnprintableModel, TypeError, AttributeError, RecursionError) as raised:
         error: Exception = raised
-        if isinstance(raised, RecursionError):  # sympy 1.14, for some nested minima and maxima
+        if isinstance(raised, RecursionError):  # sympy 1.14 raises it for some nested minima and maxima
             error = UnprintableModel("the symbolic derivatives of its equations are too large")
         doing, cure = "cannot be printed as C", "use functions and branches of m in its equations, or omit --native"
         file = loaded.source.rpartition(":")[0]
@@ -186,7 +188,7 @@ def _natives(loaded: LoadedModel, starts: Mapping[str, Mapping[str, Value]]) -> 
 
 
 def _compile(native: Native, path: Path, fmi: int = 2, platforms: Sequence[str] = ()) -> NativeFmu:
-    """Return a built FMU; raise InputError with the compiler's message on failure."""
+    """Compile and return a native FMU; raise InputError with the compiler's message if compilation fails."""
     from cosim.fmi.native.package import build_native as build_fmu
 
     try:
@@ -197,7 +199,7 @@ def _compile(native: Native, path: Path, fmi: int = 2, platforms: Sequence[str] 
 
 
 def _check_compiler(platforms: Sequence[str]) -> None:
-    """Raise InputError without a compiler, before generating code."""
+    """Raise InputError if there is no compiler, before code is generated."""
     try:
         commands(tuple(platforms))
     except NoCompiler as error:
@@ -207,12 +209,12 @@ def _check_compiler(platforms: Sequence[str]) -> None:
 def designed_model(
     text: str | None, nearest: bool, design: FilePath | None, tell: Callable[[str], None]
 ) -> tuple[LoadedModel, Mapping[str, Mapping[str, Value]]]:
-    """Return the named model, and the start values designed for its controllers, by file name of their FMUs.
+    """Return a model and the start values designed for its controllers: FMU file name → variable → value.
 
-    A refine folder means its refined model, or with `nearest` its nearest model.
+    For a folder written by `cosim refine`, return its refined model, or with `nearest` its nearest model.
 
     Raises:
-        InputError: Every fault of the model or file, or a model without a controller to design.
+        InputError: The model or file is wrong (the error names all faults), or the model has no controller to design.
     """
     if text is None:
         registered = "".join(f"{name}, " for name in sorted(models()) if name != BASE)

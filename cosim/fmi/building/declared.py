@@ -1,4 +1,4 @@
-"""Checks of a user's model class: declarations, names, bounds and units, then a trial of its equations and effects.
+"""Checks of a user's model class: declarations, names, bounds and units, then trial calls of its equations and effects.
 
 All faults are reported at once with line and remedy, before any log is read.
 """
@@ -38,7 +38,7 @@ FOREIGN = ("Cannot convert expression to float", "must be real number", "ufunc",
 
 
 class ModelText:
-    """The text of a model file."""
+    """The text of a model file, from which faults get their lines."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -46,7 +46,7 @@ class ModelText:
         self._places: dict[tuple[str, str], tuple[int, int]] = {}
         try:
             tree = ast.parse(path.read_bytes())
-        except (OSError, SyntaxError, ValueError):  # Loading the file reports this error.
+        except (OSError, SyntaxError, ValueError):  # These errors are reported when the file is loaded.
             return
         for node in ast.walk(tree):
             if isinstance(node, ast.ClassDef):
@@ -59,14 +59,14 @@ class ModelText:
                     self._places |= {(node.name, name): (part.lineno, part.col_offset + 1) for name in names}
 
     def fault(self, owner: type, attribute: str, message: str) -> Fault:
-        """Return a fault at the line of a class attribute, otherwise at the class."""
+        """Return a fault at the line of a class attribute; if the line is unknown, at the line of the class."""
         keys = [(c.__name__, attribute) for c in owner.__mro__ if c.__module__ == owner.__module__]
         place = next((key for key in keys if key in self._places), (owner.__name__, ""))
         line, column = self._places.get(place, (int(getattr(owner, "line", 0)), 0))
         return Fault(self.path, line, column, message)
 
     def convert_error(self, error: BaseException, doing: str) -> Fault:
-        """Return an exception as a fault, with its line and the cure, if known."""
+        """Return the fault for an exception that occurred while `doing`: line, message and, if known, the cure."""
         text = " ".join((error.msg if isinstance(error, SyntaxError) else str(error)).split())
         cure = ""
         if isinstance(error, TypeError) and TRUTH_TEST in text:
@@ -87,12 +87,12 @@ class ModelText:
 
 
 Faults = Iterator[tuple[type, str, str]]  # class, declaration, message
-MAX_TOLERANCE = 2.0  # share of a value; larger tolerances are meaningless
+MAX_TOLERANCE = 2.0  # largest meaningful tolerance, as a share of the value
 SIGNALS = ("base_states", "inputs", "outputs")
 
 
 def make_model(kind: type[Model], source: ModelText) -> Model:
-    """Return a model with default parameters; raise InputError with all faults of its class."""
+    """Return a model of a class with default parameters; raise InputError with all faults of the class."""
     refuse(source.fault(*fault) for fault in _form_faults(kind))
     trial, values = _Trial(source, kind), [*_value_faults(kind)]
     trial.faults += [source.fault(*fault) for fault in (*_effect_faults(kind), *_name_faults(kind), *values)]
@@ -135,7 +135,7 @@ def _form_faults(kind: type[Model]) -> Faults:
 
 
 def _is_of(value: Any, annotation: Any) -> bool:
-    """Return True if a value has an annotated type without conversion."""
+    """Return True if a value has the type of an annotation without conversion."""
     try:
         TypeAdapter(annotation, config=ConfigDict(strict=True, arbitrary_types_allowed=True)).validate_python(value)
     except ValidationError:
@@ -152,7 +152,7 @@ def _value_faults(kind: type[Model]) -> Faults:
     for attribute in ("sensor_variance", "start_variance", "excursion"):
         values = getattr(kind, attribute).items()
         positive += [(kind, attribute, f"the {attribute} of {n}", v, sys.float_info.max) for n, v in values]
-    declared: list[tuple[Any, str, Any, str]] = []  # owner, attribute, quantity or parameter, its name
+    declared: list[tuple[Any, str, Any, str]] = []  # owner, attribute, quantity or parameter, and its name
     for owner in (kind, *kind.catalogue, *kind.sensors):
         groups, prefix = (SIGNALS, "") if owner is kind else (("states", "memory"), f"{owner.name}.")
         declared += [(owner, group, q, q.name) for group in groups for q in getattr(owner, group)]
@@ -169,7 +169,8 @@ def _value_faults(kind: type[Model]) -> Faults:
             if not low <= d.start <= high:
                 yield owner, attribute, f"the start value {d.start:g} of {name} is outside its bounds {d.bounds}"
         else:
-            # A fit starts at the typical size, so the size must be inside the bounds; elsewhere it is only a step size.
+            # A fit starts at the typical size, so the size must be inside the bounds; in other cases the typical size
+            # is only a step size.
             typical = d.typical if d.neutral == low else None
             for word, value in (("default", d.default), ("neutral", d.neutral), ("typical", typical)):
                 if (word == "default" or value is not None) and (fault := d.fault(value)):
@@ -289,7 +290,7 @@ FAILED = object()  # in place of the result of a call that raised an exception
 
 
 class _Trial:
-    """Trial calls of a model's functions, and the faults they raise."""
+    """Trial calls of a model's functions, and the faults that they reveal."""
 
     def __init__(self, source: ModelText, kind: type[Model]) -> None:
         self.source, self.kind = source, kind
@@ -334,7 +335,7 @@ def _try_model(trial: _Trial) -> None:
 
 
 def _try_equations(trial: _Trial, model: Model, m: Namespace, arguments: tuple[Any, ...]) -> None:
-    """Record faults of derivative and output: exceptions, and a wrong number or type of values."""
+    """Record faults of derivative and output: exceptions, a wrong number of values, or values of a wrong type."""
     body = trial.attempt("`equations` raises", model.equations, m)
     if not isinstance(body, Equations):
         if body is not FAILED:
@@ -357,7 +358,7 @@ def _try_equations(trial: _Trial, model: Model, m: Namespace, arguments: tuple[A
 
 
 def _is_number(value: Any, m: Namespace) -> bool:
-    """Return True for a finite number, or for an expression if the namespace is that of symbols."""
+    """Return True for a finite number; with the namespace of symbols, for an expression too."""
     import sympy
 
     if m is SCALAR:
@@ -371,8 +372,8 @@ def _is_number(value: Any, m: Namespace) -> bool:
 def _try_effects(trial: _Trial) -> None:
     """Record the faults of effects and sensor errors.
 
-    Each effect alone is integrated over a substep at its typical size. Shaped commands and readings are tried on
-    symbols.
+    The model with each single effect at its typical size is integrated over a substep. Shaping of commands and readings
+    are also evaluated on symbols.
     """
     import sympy
 

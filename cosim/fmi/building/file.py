@@ -100,7 +100,7 @@ class LoadedModel:
         return {**clean, **self.sensors}
 
     def recipe(self) -> Recipe:
-        """Return the recipe of the model's FMU."""
+        """Return the recipe (`Recipe`) from which the model's FMU is built."""
         from cosim.fmi.fmu_build import model_recipe
 
         if is_model(self.source):
@@ -120,11 +120,11 @@ def load_model(text: str, folder: Path, named_in: YamlFile | None = None) -> Loa
 
     Args:
         text: Registered name, path of a model.yaml, or `file.py:Class`.
-        folder: Folder of relative paths.
+        folder: Folder to which relative paths refer.
         named_in: Study that names the model; a missing file is a fault of its key `model`.
 
     Raises:
-        InputError: Every fault of the model.
+        InputError: The model has faults, all of which the error names.
     """
 
     def refusal(file: Path, *messages: str) -> InputError:
@@ -151,10 +151,10 @@ def load_model(text: str, folder: Path, named_in: YamlFile | None = None) -> Loa
 
 
 def read_model(path: Path, readers: tuple[Path, ...] = ()) -> LoadedModel:
-    """Read a model.yaml; check names and bounds.
+    """Read a model.yaml and check its names and bounds.
 
     Args:
-        readers: Files that take parameters from this one, by `parameters_from`.
+        readers: Chain of files whose `parameters_from` leads to this file, to detect circles.
     """
     check_form(path, MODEL, CODE)
     yaml = YamlFile(path)
@@ -184,7 +184,7 @@ def read_model(path: Path, readers: tuple[Path, ...] = ()) -> LoadedModel:
                 effect, dot, _ = name.rpartition(".")
                 faults.append(yaml.fault((section, name), f"{effect}{dot}{text}; correct the value"))
     values: dict[str, float | bool] = {}
-    # A parameter file of a small model, e.g. refined on a test rig, may serve a larger model.
+    # A parameter file of a smaller model, e.g. of a part refined on a test rig, may serve a larger model.
     if name := content.parameters_from:
         other = path.parent / name
         at = ("parameters_from",)
@@ -224,9 +224,9 @@ def own_model(text: str, folder: Path) -> Model:
 def only_model(path: Path) -> Model:
     """Return the only model of `file.py`. Raise InputError for faults, and unless the file has exactly one model."""
     source, module = _execute(path.resolve())
-    kinds: dict[Any, str] = {}  # name by class: a class with two names counts once
+    kinds: dict[Any, str] = {}  # class → name; a class with two names counts once
     for name, kind in _classes(module, Model).items():
-        if kind.__module__ == module.__name__:  # without imported classes
+        if kind.__module__ == module.__name__:  # classes defined in the file, not imported ones
             kinds.setdefault(kind, name)
     if not kinds:
         raise InputError.at(path, f"has no model class; {SUBCLASS}")
@@ -255,9 +255,9 @@ skipped_files: ContextVar[list[Path] | None] = ContextVar("files of Python that 
 
 @contextmanager
 def without_execution() -> Iterator[list[Path]]:
-    """Prevent the execution of model files; yield skipped files.
+    """Prevent the execution of model files in the `with` block; yield a list of the skipped files.
 
-    A model in such a file raises NotExecuted.
+    Loading a model from a Python file raises NotExecuted.
     """
     skipped: list[Path] = []
     token = skipped_files.set(skipped)
@@ -306,11 +306,11 @@ def write_model(path: Path, loaded: LoadedModel, folder: Path | None = None) -> 
     """Write a model.yaml that `read_model` reads.
 
     Args:
-        folder: Final folder, if the file will be moved.
+        folder: Folder to which the file will be moved, if any.
     """
     source, within = loaded.source, (folder or path.parent).resolve()
     file, _, name = source.rpartition(":")
-    if file and within.is_relative_to(Path(file).parent):  # so that both can be moved together
+    if file and within.is_relative_to(Path(file).parent):  # Relative, so that both files can be moved together.
         source = f"{Path(os.path.relpath(file, within)).as_posix()}:{name}"
     lines = ["schema_version: 1", f"model: {source}"]
     if loaded.model.chosen_substep is not None:

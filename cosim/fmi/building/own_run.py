@@ -1,4 +1,4 @@
-"""Simulation of a model along a log, with recorded inputs, and states reset to readings if an output measures them."""
+"""Simulation of a model with a log's inputs. A state that an output measures is reset to each reading."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from cosim.model.integrate import Moment, Stepper
 from cosim.model.model import Model, Values
 from cosim.model.namespaces import SCALAR
 
-MAX_GAP = 10.0  # rows; an integration over a longer gap stops after this length
+MAX_GAP = 10.0  # rows; of a longer gap between rows, only this length is integrated
 
 
 RunLog = Any  # stands for `cosim.logs.log.Log` of a higher room, with path, time, step, inputs, outputs
 
 
 def shown_states(model: Model) -> set[str]:
-    """Return the states that equal an output of the same name, tested at one state."""
+    """Return the states that equal an output of the same name, as tested at one state."""
     state = tuple(value + 0.01 * (k + 1) for k, value in enumerate(model.start()))
     values = dict(zip((s.name for s in model.states), state, strict=True))
     outputs = model.acting(SCALAR).output(0.0, state, model.start_command())
@@ -31,12 +31,12 @@ def shown_states(model: Model) -> set[str]:
 def moments(
     stepper: Stepper, log: RunLog, ignored: Mapping[str, Rows] | None = None
 ) -> Iterator[tuple[int, Moment, Moment]]:
-    """Yield row, predicted moment, and moment with the readings.
+    """Yield each row's index, moment predicted from the previous row, and moment with states set to readings.
 
     The iteration ends if the model diverges.
 
     Args:
-        ignored: Output → rows with unused readings.
+        ignored: Output → rows whose readings are not used.
     """
     model, shown, readings = stepper.model, shown_states(stepper.model), {}
     for place, name in enumerate(s.name for s in model.states):
@@ -63,16 +63,16 @@ def moments(
 
 
 def command_rows(model: Model, log: RunLog) -> list[Values]:
-    """Return the commands by row, in input order."""
+    """Return a tuple of commands for each row, in the order of the inputs."""
     columns = [log.inputs[q.name].tolist() for q in model.inputs]
     return list(zip(*columns, strict=True)) if columns else [()] * len(log.time)
 
 
 def predicted_outputs(model: Model, log: RunLog, ignored: Mapping[str, Rows]) -> dict[str, Array]:
-    """Return one-step-ahead predictions of outputs, NaN after divergence.
+    """Return output → prediction from the previous row, for each row; NaN after the model diverges.
 
     Args:
-        ignored: Output → rows with unused readings.
+        ignored: Output → rows whose readings are not used.
     """
     stepper, commands = Stepper(model), command_rows(model, log)
     table = np.full((len(log.time), len(model.outputs)), np.nan)

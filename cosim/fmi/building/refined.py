@@ -1,4 +1,4 @@
-"""Files of a refine's folder: model.yaml and FMU of the refined model and of the nearest model."""
+"""Files in a folder written by `cosim refine`: model.yaml and FMU of the refined model and of the nearest model."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ NEAREST = ("nearest.yaml", "nearest.fmu")
 
 
 class NoNearest(ValueError):
-    """The nearest model does not exist; the message gives reason and cure."""
+    """The nearest model does not exist; the message says why, and what to do."""
 
 
 def folder_of(path: Path) -> Path | None:
-    """Return the folder of a refine from its path or the path of a file in it."""
+    """Return the folder that `cosim refine` wrote, from its path or the path of a file in it; otherwise None."""
     folder = newest_run(path) if path.is_dir() else path.parent
     return folder if path.exists() and (folder / ANSWER).is_file() else None
 
 
 def refined_file(path: Path, *, nearest: bool = False) -> Path:
-    """Return the path of the model.yaml or FMU in a refine's folder.
+    """Return the path of the model.yaml or FMU in a folder written by `cosim refine`.
 
     Args:
-        path: Folder of the refine, its refine.json or another of its files.
+        path: The folder, its refine.json or another of its files.
         nearest: Return the nearest model, which equals the refined model if the claim is complete.
 
     Raises:

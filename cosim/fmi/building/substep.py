@@ -1,4 +1,4 @@
-"""Choice of integrator and substep: stable and accurate for the model's modes.
+"""Choice of an integrator and substep that are stable and accurate for the model's modes.
 
 Filter and FMU integrate by RK4 in equal substeps. In a substep of h, a mode of eigenvalue λ is multiplied by R(λh),
 R(z) = 1 + z + z²/2 + z³/6 + z⁴/24, instead of exp(λh). If |R| > 1, the mode grows although the model decays.
@@ -33,20 +33,20 @@ from cosim.model.integrate import Stepper, substeps
 from cosim.model.model import AUTO, RK4, STIFF, Model, Values
 from cosim.model.symbolic.linearize import Linearizer
 
-MAX_DEFAULT = 1.0  # |λ|·h for keeping the default substep: R is within 2 % of exp(λh)
-MAX_CHOSEN = 0.5  # |λ|·h of a chosen substep: R is within 0.05 % of exp(λh), and fits may move λ
-MOST_SUBSTEPS = 100  # RK4 substeps per `rate`; a model with more is stiff
+MAX_DEFAULT = 1.0  # largest |λ|·h of the default substep: R is within 2 % of exp(λh)
+MAX_CHOSEN = 0.5  # |λ|·h of a chosen substep: R is within 0.05 % of exp(λh); fits may change λ
+MOST_SUBSTEPS = 100  # RK4 substeps per `rate`; a model that needs more is stiff
 LEAST_STIFF = 8  # implicit substeps per row
-FOLLOWED = 10.0  # |λ| times a row up to which the implicit method resolves a mode; faster modes decay within a row
-DEAD = 5.0  # -Re(λ) times a row after which a mode has decayed to 0.7 %
-GROWTH = 1e-9  # tolerance of |R| above 1
-POINTS = 500  # of a log for computing eigenvalues
-MAX_ROWS = 20_000  # of a log for running the model
+FOLLOWED = 10.0  # |λ| times a row up to which the implicit method resolves a mode; faster modes must decay
+DEAD = 5.0  # -Re(λ) times a row; such a mode decays to 0.7 % within a row
+GROWTH = 1e-9  # amount by which |R| may exceed 1
+POINTS = 500  # points of a log at which eigenvalues are computed
+MAX_ROWS = 20_000  # rows of a log over which the model is simulated
 
 
 @dataclass(frozen=True)
 class StateMode:
-    """An eigenvalue of the Jacobian [1/s], the state with the largest participation, and its place."""
+    """An eigenvalue of the Jacobian [1/s], the state with the largest participation, and where it was computed."""
 
     eigenvalue: complex
     state: str
@@ -64,13 +64,13 @@ class StateMode:
 def with_substep(loaded: LoadedModel, logs: Sequence[RunLog] = ()) -> tuple[LoadedModel, list[str]]:
     """Return the model with an integrator and a substep that suit its fastest mode, and notes.
 
-    Modes are computed at the start and along the model's run on each log. Registered models keep their settings.
+    Modes are computed at the start and along a simulation over each log. Registered models keep their settings.
 
     Raises:
-        InputError: The stated substep is unstable, or a mode too fast for RK4 does not decay within a row.
+        InputError: The stated substep is unstable, or a mode is too fast for RK4 and does not decay within a row.
     """
     model, kinds = loaded.model, type(loaded.model).__mro__
-    # whether class or model file states a substep
+    # True if class or model file states a substep
     is_stated = model.chosen_substep is not None or any("substep" in vars(k) for k in kinds[: kinds.index(Model)])
     if not model.base_states or is_model(loaded.source) or (model.integrator == STIFF and is_stated):
         return loaded, []
@@ -120,7 +120,7 @@ class _Fastest:
         self.eigenvalues: list[NDArray[np.complex128]] = []
         try:
             self.linearized: Linearizer | None = Linearizer(model)
-        except (NotImplementedError, ValueError):  # A function without derivative, e.g. `%`: the default substep stays.
+        except (NotImplementedError, ValueError):  # no derivative, e.g. of `%`: the default substep stays
             self.linearized = None
 
     def at_start(self) -> StateMode:
@@ -148,7 +148,7 @@ class _Fastest:
         return fastest
 
     def die_within_a_row(self) -> bool:
-        """Return True if all modes too fast for RK4 decay within a row."""
+        """Return True if every mode that is too fast for RK4 decays within a row."""
         values = np.concatenate(self.eigenvalues)
         fast = values[self.model.rate * np.abs(values) > MOST_SUBSTEPS * MAX_CHOSEN]
         return bool(np.all(-self.row * fast.real >= DEAD))
@@ -179,7 +179,7 @@ class _Fastest:
 
 
 def _ms(seconds: float) -> str:
-    """Return a duration as text with a suitable unit."""
+    """Return a duration as text in s or ms."""
     return amount(1000.0 * seconds, "ms") if seconds < 0.5 else amount(seconds, "s")
 
 
@@ -195,5 +195,5 @@ def check_model(path: Path, checking: Checking) -> list[str]:
 
 
 def substep_notes(loaded: LoadedModel, logs: Sequence[Any] = ()) -> list[str]:
-    """Return notes on an automatically chosen substep; raise InputError if none is suitable."""
+    """Return notes on an automatically chosen substep; raise InputError if no substep is suitable."""
     return [f"note: {note}" for note in with_substep(loaded, logs)[1]]

@@ -1,1 +1,1 @@
-"""Native code: C common to all models, compiler and cache."""
+"""Native FMUs: C code common to all models, compilers, and a cache of libraries."""

@@ -1,7 +1,7 @@
 """Check of generated C against a model's Python at seeded random points, before compilation.
 
-While its equations are traced, a model may decide on numbers that are known only at run time (a look-up in a
-dictionary, a test for effects). No rule detects all such lines; a comparison of two evaluations does.
+Tracing records one path through the equations. A model whose path depends on run-time values (a look-up in a
+dictionary, a test for effects) gives wrong C code. A comparison of both evaluations detects such models.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ from cosim.model.symbolic.blocks import function
 from cosim.model.symbolic.languages import Python
 from cosim.model.symbolic.trace import Trace, UnprintableModel
 
-TOLERANCE = 1e-9  # of max(1, |value|)
-POINTS, TRIES = 6, 18  # points per case, and draws if Python gives no number
+TOLERANCE = 1e-9  # tolerance of a difference, relative to max(1, |value|)
+POINTS, TRIES = 6, 18  # compared points per case, and draws in case Python gives no number at a point
 DECIDED = (
     "the equations contain a decision that symbols cannot express (a look-up in a dictionary, int() or a branch on a "
     "number): use m.where"
@@ -36,12 +36,12 @@ NOT_NEUTRAL = (
     "evaluates every effect, so an absent effect must be neutral"
 )
 Values = list[tuple[str, str, float]]  # quantity, method of the model, value
-Difference = tuple[str, str, float, float]  # the same, with the values by Python and by generated code
+Difference = tuple[str, str, float, float]  # quantity, method of the model, value by Python, value by generated code
 
 
 @dataclass(frozen=True)
 class EvaluationPoint:
-    """A point of evaluation: states x and memory (also of dormant effects), inputs u, parameters by FMI name."""
+    """Arguments of an evaluation: states x, inputs u, memory (of dormant effects, too), parameters by FMI name."""
 
     t: float
     h: float
@@ -52,7 +52,7 @@ class EvaluationPoint:
 
 
 class GeneratedCode:
-    """Generated equations of a model for some values of its Boolean parameters, as Python functions in place of C."""
+    """Generated equations for certain values of the Boolean parameters, printed as Python functions instead of C."""
 
     def __init__(self, trace: Trace, switches: Mapping[str, bool]) -> None:
         self.switches = switches
@@ -65,7 +65,7 @@ class GeneratedCode:
             ("shape", "t h u memory p", trace.shaping, [*trace.shaped, *trace.remembered]),
             ("remember", "t memory p", (), trace.started),
         )
-        # functions of numpy give NaN or infinity, as in C, where those of `math` raise exceptions
+        # functions of numpy, because they give NaN or infinity like C, where those of `math` raise exceptions
         names: dict[str, Any] = {"math": SimpleNamespace(**{**vars(math), **vars(np)})}
         self._functions: list[tuple[Any, list[str], int]] = []
         for name, arguments, blocks, results in functions:
@@ -73,7 +73,7 @@ class GeneratedCode:
             self._functions.append((names[name], arguments.split(), len(results)))
 
     def values(self, at: EvaluationPoint, awake: set[str]) -> list[float]:
-        """Return the values of all functions at a point, with the effects in `awake` active."""
+        """Return the values of all functions at a point, where the effects in `awake` are active."""
         numbers = {**vars(at), "p": [at.values[n] for n in self._parameters]}
         values: list[float] = []
         for call, arguments, size in self._functions:
@@ -86,14 +86,14 @@ class GeneratedCode:
 
 
 class Check:
-    """Comparison of a model's Python equations with its generated code."""
+    """Comparison of a model's Python equations with the code generated from them."""
 
     def __init__(self, model: Model, printer: ModelPrinter) -> None:
         self.model, self.printer = model, printer
         self.random = random.Random(0)
 
     def run(self) -> None:
-        """Compare in every case; raise UnprintableModel with the first difference and its remedy."""
+        """Compare in every case; raise UnprintableModel with the first difference and the cure."""
         kinds, switches = self.model.catalogue, self.printer.switches
         flags = (dict(zip(switches, f, strict=True)) for f in product((False, True), repeat=len(switches)))
         variants = [GeneratedCode(*of) for of in zip(self.printer.variants, flags, strict=True)]
@@ -103,7 +103,7 @@ class Check:
                     raise self.refusal(difference, awake, code)
 
     def first_difference(self, awake: tuple[Any, ...], code: GeneratedCode) -> Difference | None:
-        """Return the first difference between Python and generated code with some active effects; None without one."""
+        """Return the first difference between Python and generated code with `awake` effects active, or None."""
         count, names = 0, {e.name for e in awake}
         for k in range(TRIES):
             at = self.draw_point(awake, code, k)
@@ -123,7 +123,7 @@ class Check:
     def evaluate(self, names: set[str], at: EvaluationPoint) -> Values:
         """Return derivatives, outputs, shaped commands, and memory of effects after a substep and at the start.
 
-        The memory of a dormant effect is NaN. A delay is skipped because it has hand-written C code.
+        The memory of a dormant effect is NaN. Delays are skipped, because their C code is not generated.
         """
         base = {n: v for n, v in at.values.items() if "." not in n or n.partition(".")[0] in names}
         stepper = Stepper(replace(self.model, effects=()).with_values(base))
@@ -153,9 +153,9 @@ class Check:
         return [*values, *((f"{q.name} after all effects", "shape", value) for q, value in shaped), *after, *starts]
 
     def draw_point(self, awake: tuple[Any, ...], code: GeneratedCode, k: int) -> EvaluationPoint:
-        """Return the random point of test k.
+        """Return the random point of draw k.
 
-        Parameters of the first points are unchanged. From test POINTS on, points approach the start values.
+        The first points have the model's parameter values. From draw POINTS on, points approach the start values.
         """
         size = 1.0 if k < POINTS else 10.0 ** -(k - POINTS + 1)
         uniform = self.random.uniform
@@ -187,7 +187,7 @@ class Check:
         return EvaluationPoint(uniform(0.0, 10.0), substep, state, command, memory, {**values, **code.switches})
 
     def refusal(self, difference: Difference, awake: tuple[Any, ...], code: GeneratedCode) -> UnprintableModel:
-        """Return the error for a difference between Python and C, with the class at fault and a remedy."""
+        """Return the error for a difference between Python and C, with the class at fault and the cure."""
         quantity, hook, python, generated = difference
         kinds, model = self.model.catalogue, type(self.model)
         words = [f"{', '.join(e.name for e in awake)} active" if awake else "no effect active"]
@@ -197,7 +197,7 @@ class Check:
             return UnprintableModel(text, awake[0], "" if hook == "equations" else hook, DECIDED)
         if awake or not kinds or self.first_difference(kinds, code):
             return UnprintableModel(text, model, "equations", DECIDED)
-        # An effect is at fault if the difference occurs with only this effect dormant.
+        # If the difference disappears while only one effect is dormant, this effect is at fault.
         others = ((kind, tuple(k for k in kinds if k is not kind)) for kind in kinds)
         culprits = [kind for kind, rest in others if self.first_difference(rest, code)]
         owner, hook = (culprits[0], "") if len(culprits) == 1 else (model, "equations")

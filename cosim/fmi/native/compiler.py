@@ -22,18 +22,18 @@ from cosim.core.extras import install_command
 from cosim.core.scratch import temporary_folder
 from cosim.files.cache import cache_environment, cache_path
 
-# errno after sin and pow is never read
+# -fno-math-errno: errno after sin and pow is never read
 OPTIONS = ("-std=c99", "-O3", "-fno-math-errno", "-ffp-contract=off", "-shared")
-POSITION = [] if sys.platform == "win32" else ["-fPIC"]  # option for code of libraries on this machine
+POSITION = [] if sys.platform == "win32" else ["-fPIC"]  # compiler option for libraries
 LIMIT = 900.0  # time limit of the compiler [s]
 ZIG = "ziglang"  # C compiler for every platform, on PyPI
-# library headers with plain names: Linux, Windows; with packed names: macOS
+# first bytes of libraries whose function names can be searched as text (Linux, Windows), and cannot (macOS)
 PLAIN, PACKED = (b"\x7fELF", b"MZ"), (b"\xcf\xfa\xed\xfe", b"\xca\xfe\xba\xbe")
 
 
 @dataclass(frozen=True)
 class Platform:
-    """A target platform: folders of FMI 2.0 and 3.0 below `binaries`, library suffix, and zig's target name."""
+    """A target platform: folders below `binaries` in FMI 2.0 and 3.0, library suffix, and name for the compiler zig."""
 
     name: str
     fmi3: str
@@ -41,7 +41,7 @@ class Platform:
     target: str
 
     def folder(self, fmi: int) -> str:
-        """Return the folder below `binaries`.
+        """Return the platform's folder below `binaries` for a version of FMI.
 
         A platform without a name in FMI 2.0 uses its FMI 3.0 name, as in FMI 2.0.4.
         """
@@ -74,11 +74,11 @@ def glibc_floor(library: bytes) -> str:
 
 
 class NoCompiler(LookupError):
-    """No compiler exists for a platform; the message names the cure."""
+    """There is no compiler for a platform; the message says how to install one."""
 
 
 class CompilerFailed(RuntimeError):
-    """A compilation failed: the message in one line; the full text is in `output`."""
+    """A compilation failed: the message in one line; `output` has the compiler's full text."""
 
     def __init__(self, reason: str, output: str = "") -> None:
         super().__init__(reason)
@@ -86,33 +86,33 @@ class CompilerFailed(RuntimeError):
 
 
 def compiler() -> list[str] | None:
-    """Return the C compiler's command, if any.
+    """Return the command of the C compiler for this machine; None if there is none.
 
-    `CC` in the environment names a compiler; by default cc, gcc or clang is used, else that of the extra `refine`.
+    `CC` in the environment names a compiler; otherwise cc, gcc or clang is used, otherwise zig from the extra `refine`.
     """
     choice, machine = os.environ.get("CC"), this_platform()
     for name in ("cc", "gcc", "clang") if choice is None else (choice,):
-        with suppress(ValueError):  # an open quote
+        with suppress(ValueError):  # CC has an unclosed quote
             if (words := shlex.split(name)) and shutil.which(words[0]):
                 return words
     return cross_command(machine) if machine and can_cross() else None
 
 
 def can_cross() -> bool:
-    """Return whether a cross compiler is installed (extras `refine`, `native`)."""
+    """Return True if the cross compiler zig is installed (extras `refine`, `native`)."""
     return importlib.util.find_spec(ZIG) is not None
 
 
 def cross_command(target: Platform) -> list[str]:
-    """Return the cross compiler's command for a platform."""
+    """Return the command of the cross compiler for a platform."""
     return [sys.executable, "-m", ZIG, "cc", "-target", target.target, "-s"]
 
 
 def commands(names: Sequence[str] = ()) -> dict[Platform, list[str]]:
-    """Return platform → compiler command, by default for this machine.
+    """Return platform → command of its compiler, for the named platforms or, by default, for this machine.
 
-    The cross compiler, which also targets old versions of glibc, is used for platforms named by the user and if there
-    is no local compiler.
+    Named platforms use the cross compiler, which also supports old versions of glibc. So does this machine if it has no
+    other compiler.
 
     Raises:
         KeyError: A platform is unknown.
@@ -143,12 +143,12 @@ def fmi_headers() -> Path:
 
 
 def library_command() -> list[str]:
-    """Return the command for a plain library of this machine; raise NoCompiler if none exists."""
+    """Return the command that compiles a library for this machine; raise NoCompiler without a compiler."""
     return [*required_compiler(), "-shared", *POSITION]
 
 
 def cure(extra: str) -> str:
-    """Return the cure for a missing C compiler."""
+    """Return how to install a C compiler, as part of a message."""
     return f"install gcc or clang, name a compiler in CC, or {install_command(extra)}"
 
 
@@ -170,13 +170,13 @@ def library_of(
 ) -> Path:
     """Return the cached path of a compiled shared library.
 
-    Its name ends with a hash of the content, because a damaged library could crash.
+    The name of the file ends with a hash of its content, so that a damaged library is not loaded.
 
     Args:
         files: Contents by path below the compiler's folder.
         main: Path of the file to compile.
         command: Command of the compiler.
-        exports: Required functions, because some commands succeed without making the right library.
+        exports: Functions that the library must contain; some commands succeed without creating a usable library.
         limit: Time limit of the compiler [s].
 
     Raises:
@@ -194,7 +194,7 @@ def library_of(
             return library
         library.unlink(missing_ok=True)
     data, name = b"", shlex.join(command[:1])
-    with temporary_folder("compile") as folder:  # The compiler runs in it, so that the library has no local path.
+    with temporary_folder("compile") as folder:  # working folder of the compiler, so that the library has no local path
         for file, source in files.items():
             (folder / file).parent.mkdir(parents=True, exist_ok=True)
             (folder / file).write_bytes(source)
@@ -229,16 +229,16 @@ def library_of(
 
 
 def _missing_exports(library: bytes, exports: Sequence[str]) -> list[str]:
-    """Return the required functions that a library lacks."""
-    if library.startswith(PACKED):  # names are stored as a tree of parts
+    """Return the required functions that are not in a library."""
+    if library.startswith(PACKED):  # names are stored in parts and cannot be searched
         return []
     return [name for name in exports if not library.startswith(PLAIN) or name.encode() + b"\0" not in library]
 
 
 def load_library(source: str, *headers: Path) -> ctypes.CDLL:
-    """Return a loaded library compiled from source and headers.
+    """Compile source and headers for this machine, and return the loaded library.
 
-    A cached library of another machine is compiled again.
+    A library is compiled again if the cached one does not load on this machine.
 
     Raises:
         NoCompiler: No compiler exists.

@@ -1,4 +1,4 @@
-"""Native FMUs: a model's generated C with common code, compiled and packed, byte-reproducible."""
+"""Native FMUs: generated C code of a model and common C code, compiled and packed. Equal inputs give equal bytes."""
 
 from __future__ import annotations
 
@@ -30,14 +30,14 @@ LOG = {
 class Native:
     """Sources and data of a native FMU.
 
-    Value references are those of the ports of `about`, followed by those of the local variables.
+    Value references number the ports of `about` first, then the variables in `locals`.
 
     Attributes:
-        body: Generated C code, which follows the tables of variables in `model.c`.
-        sizes: Definitions of `config.h` beside the numbers of variables; those of `SIZES` are 0 by default.
+        body: Generated C code, which `model.c` contains after the tables of variables.
+        sizes: Definitions for `config.h` in addition to the numbers of variables. Absent names of `SIZES` are 0.
         parts: C files included after `model.c`.
         text: Documentation in HTML.
-        locals: States, their derivatives in the same order, memory, event indicators.
+        locals: Variables for states, then their derivatives in the same order, memory, event indicators.
         dependencies: Output or derivative → names of the inputs and states on which it depends.
     """
 
@@ -72,7 +72,7 @@ BUILD_DESCRIPTION = """<?xml version="1.0" encoding="UTF-8"?>
 
 @dataclass(frozen=True)
 class NativeFmu:
-    """A built native FMU, with the oldest usable glibc of each Linux library ("" for other platforms)."""
+    """A built native FMU, with the oldest glibc that each Linux library accepts ("" for other platforms)."""
 
     path: Path
     floors: Mapping[str, str]
@@ -85,7 +85,7 @@ class NativeFmu:
 
 
 def native_model(model: Model, recipe: Recipe, name: str) -> Native:
-    """Return a model as a native FMU, checked against its Python; raise UnprintableModel on failure."""
+    """Return a model as a native FMU; raise UnprintableModel if the generated code differs from the model's Python."""
     printer = ModelPrinter(model, recipe.about.ports)
     body, sizes = printer.sources()
     Check(model, printer).run()
@@ -97,7 +97,7 @@ def native_model(model: Model, recipe: Recipe, name: str) -> Native:
         variables.append(Port(f"{effect.name}.{q.name}_memory", "memory", 0.0, q.unit, f"remembered: {q.doc}"))
     for k in range(int(str(sizes["KINKS"]))):
         variables.append(Port(f"event_indicator_{k + 1}", "indicator", 0.0, "", "passes through zero at a kink"))
-    # output or derivative → inputs and states on which it depends, for any active effects and switches
+    # output or derivative → inputs and states on which it depends, for any active effects and Boolean parameters
     sources = defaultdict[str, set[str]](set)
     inputs, states = [q.name for q in model.inputs], [f"{q.name}_state" for q in printer.states]
     for trace in printer.variants:
@@ -114,7 +114,7 @@ def native_model(model: Model, recipe: Recipe, name: str) -> Native:
             sources[q.name] |= sources_of(e)
         acting = dict(zip(inputs, trace.shaped, strict=True))
         for state, e in zip(states, trace.derivative, strict=True):
-            direct = sources_of(e)  # The command after all effects is shaped.
+            direct = sources_of(e)  # a command here means the command after all effects
             sources[f"der({state})"] |= direct.union(*(sources_of(acting[n]) for n in direct & acting.keys()))
     dependencies = {output: sorted(direct) for output, direct in sources.items()}
     equations = {"equations.c": part("equations.c")}
@@ -122,7 +122,7 @@ def native_model(model: Model, recipe: Recipe, name: str) -> Native:
 
 
 def part(name: str) -> bytes:
-    """Return a C file common to all models."""
+    """Return the content of a C file that all models share."""
     return (FOLDER / name).read_bytes()
 
 

@@ -1,4 +1,4 @@
-"""Generated C code of a model: functions of its equations, and tables for equations.c."""
+"""Generated C code of a model: functions for its equations, and tables for equations.c."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from cosim.model.symbolic.languages import C
 from cosim.model.symbolic.symbols import number_guard
 from cosim.model.symbolic.trace import Trace, UnprintableModel
 
-MOST_SWITCHES = 4  # Boolean parameters; each doubles the generated code
+MOST_SWITCHES = 4  # Boolean parameters of a model; each one doubles the generated code
 LANGUAGE = C()
 Function = tuple[str, str, str]  # name, arguments, text
 
@@ -57,7 +57,7 @@ def variable_tables(ports: Sequence[Port]) -> tuple[str, int]:
 
 
 def _c_function(head: str, lines: str) -> str:
-    """Return a C function whose arguments may be unused."""
+    """Return a C function that need not use all of its arguments."""
     unused = ", ".join(f"(void){name}" for name in re.findall(r"(\w+)[,)]", head))
     return f"static {head}\n{{\n    {unused};\n{lines}}}\n"
 
@@ -77,7 +77,7 @@ class ModelPrinter:
         positions = product((False, True), repeat=len(self.switches))
         self.variants = [Trace(model, dict(zip(self.switches, flags, strict=True))) for flags in positions]
         self.trace = self.variants[0]
-        self.states = self.trace.s.model.states  # including those of the effects in the catalogue
+        self.states = self.trace.s.model.states  # including states of the effects in the catalogue
         self.shaping = overrides(self.trace.effects, "shape", Effect)
         self.delay = next((e for e in self.shaping if e.delay), None)
         self.remembering = [(e, q) for e in self.shaping if not e.delay for q in e.memory]
@@ -123,8 +123,8 @@ class ModelPrinter:
         return str(srepr([parts, [self.place[name] for name in self.switches]]))
 
     def _functions(self) -> tuple[list[str], int, int, int]:
-        """Return the C functions; the numbers of kinks of derivatives and outputs, of all kinks, of extracted calls."""
-        indicators = []  # of kinks of each variant: of derivatives and outputs, and of command shaping without memory
+        """Return the C functions and three counts: kinks of derivatives and outputs, all kinks, extracted calls."""
+        indicators = []  # of kinks, per variant: for derivatives and outputs, and for shaping without memory
         for trace in self.variants:
             moving = {*trace.s.state, *trace.s.command, trace.s.time}
             at_once = [b for b in trace.shaping if b.effect is None or not trace.effects[b.effect].memory]
@@ -138,7 +138,7 @@ class ModelPrinter:
         return merged, sizes[0], sum(sizes), max(len(near) for _, _, near in calls)
 
     def _variant(self, trace: Trace, indicators: Any, near: Any, sizes: Sequence[int]) -> list[Function]:
-        """Return the functions for one combination of the Boolean parameters."""
+        """Return the functions for certain values of the Boolean parameters."""
         import sympy
 
         s, body, shaping, n = trace.s, trace.blocks, trace.shaping, len(trace.derivative)
@@ -170,7 +170,7 @@ class ModelPrinter:
         return texts
 
     def _merge(self, variants: Sequence[Function]) -> str:
-        """Return a C function that calls the variant for the values of the Boolean parameters."""
+        """Return a C function that calls the variant that belongs to the values of the Boolean parameters."""
         name, arguments, text = variants[0]
         if all(other == text for _, _, other in variants):
             return text
@@ -178,14 +178,14 @@ class ModelPrinter:
         texts = [
             t.replace(f"static void {name}(", f"static void {name}_{k}(", 1) for k, (_, _, t) in enumerate(variants)
         ]
-        # in the order of `product`: the last switch is the lowest bit
+        # as in `product`, the last Boolean parameter is the lowest bit
         places = [self.place[switch] for switch in self.switches]
         bits = " | ".join(f"(p[{vr}] != 0.0) << {k}" for k, vr in enumerate(reversed(places)))
         cases = "".join(f"    case {k}: {name}_{k}({call}); break;\n" for k in range(len(variants)))
         return "\n".join(texts) + f"\n{head}\n{{\n    switch ({bits}) {{\n{cases}    }}\n}}\n"
 
     def _starts(self) -> str:
-        """Return C code that computes start values that depend on parameters, unless the host has set them."""
+        """Return C code that computes parameter-dependent start values which the host has not set."""
         import sympy
 
         m, model = SymbolNamespace(), self.trace.s.model
@@ -212,8 +212,8 @@ class ModelPrinter:
     def _questions(self) -> Iterator[str]:
         """Yield three C functions on effects.
 
-        `wake` marks an effect as active if a parameter is not neutral. `remembers` returns true if an active effect has
-        memory. `counting` returns the name of an active effect that depends on the substep, or NULL.
+        `wake` marks the effects with a parameter that is not neutral as active. `remembers` returns true if an active
+        effect has memory. `counting` returns the name of an active effect whose result depends on the substep, or NULL.
         """
         effects, remembering = self.trace.effects, {e.name for e, _ in self.remembering}
         lines = ""
@@ -237,7 +237,7 @@ class ModelPrinter:
         yield _c_function("const char *counting(const unsigned char *awake)", lines)
 
     def _tables(self) -> str:
-        """Return the tables of value references of start values, and of the model's ranges of validity."""
+        """Return C tables of the value references of start values and of the model's ranges of validity."""
         starts = {
             "STATE_START": [q.name for q in self.states],
             "MEMORY_START": [f"{e.name}.{q.name}" for e, q in self.remembering],

@@ -13,13 +13,13 @@ from cosim.fmi.native.package import Native, build_native, part
 from cosim.fmi.native.printing import table
 from cosim.fmi.ports import Port
 
-ALWAYS = -1e300  # before any time [s]
+ALWAYS = -1e300  # time [s] before any simulation
 TEXT = "<p>Outputs that are functions of time or of one input.</p>"
 
 
 @dataclass(frozen=True)
 class SignalChange:
-    """A change of a signal at time `at` [s]; `rate` per second, 0 for a step."""
+    """A change of a signal at time `at` [s]: a step (`rate` 0), or a ramp with `rate` per second."""
 
     at: float
     begin: float
@@ -29,7 +29,7 @@ class SignalChange:
 
 @dataclass(frozen=True)
 class TimeSignal:
-    """An output as a function of time: first value, and changes in order of time."""
+    """An output as a function of time: a first value, and changes in the order of time."""
 
     unit: str
     begin: float
@@ -53,7 +53,7 @@ def build_source(
     ports = tuple(Port(output, "output", 0.0, unit, "a function of time") for output, unit in units.items())
     none: dict[str, Sequence[str]] = {port.name: () for port in ports}
     about = Description("Signals that step and ramp in time", ports, none, none, step, stop, variable_step=True)
-    # a constant piece from the beginning of time, then the changes
+    # a constant value from the beginning of time, then one piece per change
     pieces = [(SignalChange(ALWAYS, s.begin, s.begin), *s.changes) for s in signals.values()]
     body = f"static const double GRID = {step.hex()};\n{table('int', 'CHANGES', (str(len(p)) for p in pieces))}"
     for column, attribute in (("AT", "at"), ("FROM", "begin"), ("TO", "to"), ("RATE", "rate")):
@@ -62,7 +62,7 @@ def build_source(
 
 
 def build_gain(name: str, linear: tuple[float, float], units: tuple[str, str], path: Path, step: float = 0.01) -> Path:
-    """Write an FMU with y = factor·u + offset, completely or not at all.
+    """Write an FMU that computes y = factor·u + offset, completely or not at all.
 
     Args:
         linear: Factor and offset.

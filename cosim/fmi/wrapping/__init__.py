@@ -1,1 +1,1 @@
-"""Wrapped FMUs: the original binary with added terms."""
+"""Wrapped FMUs: the original binary, to which a library adds terms."""

@@ -1,4 +1,4 @@
-"""Refined FMUs: the original binary, unchanged, and a small library that forwards every call and adds terms."""
+"""Refined FMUs: the unchanged original binary, and a small library that forwards every call and adds terms."""
 
 from __future__ import annotations
 
@@ -34,9 +34,9 @@ from cosim.terms.code import TermCode
 TYPEDEF = re.compile(r"typedef\s+([^;()]*?)\b(fmi[23]\w+)TYPE\s*\(([^;]*?)\)\s*;", re.DOTALL)
 COMMENT = re.compile(r"/\*.*?\*/", re.DOTALL)
 PARAMETER = re.compile(r"(?P<type>.*?[\s*])?(?P<name>\w+)\s*(?P<array>\[\])?", re.DOTALL)
-# FMI functions that are hand-written in C, without prefix; the others are forwarded
+# FMI functions, without prefix, that are hand-written in C; all others are forwarded
 WRITTEN = re.compile(r"^(?:DERIVATIVE\(|(?!static|typedef)[\w ]+[ *](?:fmi\d|FMI\())(\w+)\)?[(\n]", re.MULTILINE)
-# functions that do not need current inputs, so pending inputs are not sent before them
+# functions that do not need current inputs; pending inputs are not sent before their calls
 UNRELATED = ("Set", "Cancel", "Terminate", "EnterConfigurationMode", "ExitConfigurationMode")
 HEAD = "/* Generated from FMI's headers. */"
 
@@ -55,7 +55,7 @@ def function_table(header: str) -> str:
 
 
 def forwarding_code(header: str, wrapper: str) -> str:
-    """Return C code of all forwarded functions, i.e. those that the wrapper does not define itself.
+    """Return C code of all forwarded functions, which are all that the wrapper does not define.
 
     Pending inputs are sent to the original before a value is read from it.
     """
@@ -125,9 +125,9 @@ def set_starts(root: Any, values: Mapping[str, float], file: str) -> None:
 def describe_wrapped(
     text: bytes, file: str, kept: Iterable[str], terms: TermCode, values: Mapping[str, float], first: int
 ) -> Any:
-    """Return the root of a wrapped FMU's description, still with the original's GUID or token.
+    """Return the root element of a wrapped FMU's model description. GUID or token is still the original one.
 
-    Interfaces and capabilities that the wrapper lacks are withdrawn; comments and annotations stay.
+    Interfaces and capabilities that the wrapper does not support are removed. Comments and annotations stay.
 
     Args:
         kept: Interfaces in which the terms act.
@@ -150,15 +150,16 @@ def describe_wrapped(
             root.remove(interface)
             continue
         interfaces.append(interface)
-        etree.strip_elements(interface, "SourceFiles")  # of the original, not those of the new library
+        etree.strip_elements(interface, "SourceFiles")  # of the original, not of the new library
         for name in lost:
             interface.attrib.pop(name, None)
         if interface.tag == "ModelExchange" and (terms.memory or terms.delay):
-            interface.set(*STEP_FLAGS[fmi])  # the host reports each step of its solver
+            interface.set(*STEP_FLAGS[fmi])  # the host must report each step of its solver
     variables, structure = root.find("ModelVariables"), root.find("ModelStructure")
     if structure is not None and ("port_inputs" in terms.hooks or "added_rates" in terms.hooks):
-        # Forces change dependencies of derivatives, and of outputs that depend on inputs; without them, an unknown
-        # depends on everything. A variable is numbered by its position in FMI 2.0, by its value reference in FMI 3.0.
+        # Forces change the dependencies of derivatives, and of outputs that depend on inputs. Without declared
+        # dependencies, an unknown depends on everything. FMI 2.0 numbers a variable by its position, FMI 3.0 by its
+        # value reference.
         declared = [node for node in variables if isinstance(node.tag, str)]
         numbers = {n.get("name"): str(k) if fmi == 2 else n.get("valueReference") for k, n in enumerate(declared, 1)}
         changed = {numbers[name] for name in terms.inputs}
@@ -187,9 +188,9 @@ def describe_wrapped(
 # -- the archive ----------------------------------------------------------------------------------------
 
 FOLDER = Path(__file__).resolve().parent
-ORIGINAL = "resources/original/"  # the whole original inside the wrapped FMU
-WRAPPER = "resources/wrapper/"  # the C code of the wrapper
-KEPT = ("documentation/", "terminalsAndIcons/", "extra/", "model.png")  # members that are also in their own place
+ORIGINAL = "resources/original/"  # folder with the whole original inside the wrapped FMU
+WRAPPER = "resources/wrapper/"  # folder with the C code of the wrapper
+KEPT = ("documentation/", "terminalsAndIcons/", "extra/", "model.png")  # also in their usual place
 FLAGS = {"SHAPES": "shape_all", "PORTS": "port_inputs", "RATES": "added_rates", "READS": "readings"}
 
 
@@ -198,12 +199,14 @@ def wrap(
 ) -> dict[str, str]:
     """Write an FMU that contains the original and adds terms, completely or not at all.
 
-    It has the platforms of the original that can be compiled for; the local compiler is used for this machine.
+    The new FMU supports those platforms of the original for which a compiler exists. For this machine, the local
+    compiler is used.
 
     Args:
-        values: Start values of the terms' parameters, and of real variables of the original.
-        substep: Longest step [s] in co-simulation with constant forces and shaped inputs, if the original accepts any
-            step; by default the communication step. Model exchange needs a substep for terms with memory.
+        values: Start values of parameters of the terms, and of real variables of the original.
+        substep: Longest substep [s] of co-simulation, during which forces and shaped inputs are constant, for an
+            original that accepts any step; by default the communication step. In model exchange, terms with memory need
+            a substep.
 
     Returns:
         Platform folder of the original → reason why the wrapper has no library for it.
@@ -211,7 +214,7 @@ def wrap(
     Raises:
         FmuError: The original is invalid.
         CannotWrap: The terms do not fit the original.
-        NoCompiler: No platform of the original can be compiled for.
+        NoCompiler: There is no compiler for any platform of the original.
         CompilerFailed: Compilation failed.
     """
     about = read_description(original)
@@ -256,7 +259,7 @@ def wrap(
 
 
 def _interfaces(file: str, about: Any, terms: TermCode) -> dict[str, str]:
-    """Return interface → modelIdentifier of all interfaces in which the terms act.
+    """Return interface → modelIdentifier for all interfaces in which the terms act.
 
     Raise CannotWrap if there is none.
     """
@@ -287,7 +290,7 @@ def _config(
     first: int,
     substep: float,
 ) -> str:
-    """Return config.h (sizes and tables of variables) without the tokens and the path of the original's library."""
+    """Return config.h (sizes and tables of variables); tokens and the path of the original library are added later."""
     variables, parameters = {v.name: v for v in about.modelVariables}, terms.parameters
 
     def references(names: Iterable[str]) -> list[int]:
@@ -303,7 +306,7 @@ def _config(
         "rate": [] if any(v.shape for v in rates) else [int(v.valueReference) for v in rates],
         "own": references(own),
     }
-    # indices, among inputs, outputs, derivatives and own values, of variables that are not only forwarded; their sizes
+    # indices, among inputs, outputs, derivatives and own values, of variables that are not only forwarded; sizes
     places: dict[int, dict[str, int]] = {}
     for role, found in roles.items():
         for k, reference in enumerate(found):
@@ -344,7 +347,7 @@ def _config(
     }
     direction = ""
     if terms.directions:
-        # per direction: index of the damping among own values, change, largest value; state, speed
+        # per direction: index of the damping parameter among own values, change, upper limit; state, speed
         whole["DAMPING_REFERENCE"] = references(dampings)
         whole["DAMPING_OWN"] = [[*own].index(name) for name in dampings]
         whole["BRAKED"] = [d.state for d in terms.directions]
@@ -375,7 +378,7 @@ def _libraries(
     config: str,
     fmi: int,
 ) -> tuple[dict[str, bytes], dict[str, str]]:
-    """Return libraries by member, and the platform folders of the original left out with reasons."""
+    """Return member → content of the libraries, and original platform folder → reason for which it is left out."""
     folders: dict[str, list[str]] = {}
     for name in names:
         parts = PurePosixPath(name).parts
@@ -401,7 +404,7 @@ def _libraries(
         try:
             (command,) = commands(() if is_here else (platform.name,)).values()
             for library in own:
-                # A single library may have a file name other than its identifier.
+                # A single library may have a file name other than its modelIdentifier.
                 at = f"binaries/{folder}/{library if library in libraries else libraries[0]}"
                 files_of_c = {**sources, "config.h": f"{config}#define ORIGINAL {quote(at)}\n".encode()}
                 more = ("-lm", "-ldl") if platform.suffix == ".so" else ("-lm",)

@@ -1,7 +1,7 @@
 """Generated functions that skip the block of each dormant effect at run time.
 
-Also: indicators of kinks, and directional derivatives block by block with the chain rule, which avoids an explicit
-Jacobian.
+The module also derives indicators of kinks, and directional derivatives without an explicit Jacobian, by the chain rule
+from block to block.
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ from cosim.model.symbolic.symbols import Block, sympified
 
 
 def kinks(blocks: Sequence[Block], expressions: Sequence[Any], moving: set[Any]) -> tuple[list[Block], list[Any]]:
-    """Return blocks and symbols of kink indicators. Each indicator is zero at a kink or jump of the equations.
+    """Return blocks that compute kink indicators, which are zero at a kink or jump, and the indicators' symbols.
 
     The indicator of an effect's block is 1 while the effect is dormant.
 
     Args:
-        moving: Symbols that change while a solver steps; comparisons of other symbols are constant.
+        moving: Symbols that change during a step of a solver. A comparison of other symbols cannot have a kink.
     """
     import sympy
 
@@ -46,10 +46,10 @@ def kinks(blocks: Sequence[Block], expressions: Sequence[Any], moving: set[Any])
 def tangent(
     blocks: Sequence[Block], expressions: Sequence[Any], direction: Mapping[Any, Any]
 ) -> tuple[list[Block], list[Any]]:
-    """Return the blocks and expressions of a directional derivative.
+    """Return the blocks and expressions of a derivative along a direction.
 
     Args:
-        direction: Symbol → symbol of its rate of change.
+        direction: Symbol → symbol of its component in the direction.
     """
     import sympy
 
@@ -73,11 +73,11 @@ def tangent(
 
 @dataclass(frozen=True)
 class Nearby(Block):
-    """A call of sin, cos or a power whose argument is near a known point, for cheap evaluation.
+    """A call of sin, cos or a power, computed cheaply from its known value at a nearby point.
 
     Attributes:
         values: Symbol of each result → arguments of the call.
-        place: Index of the known point, one per call of a function.
+        place: Index of the nearby point; each call has its own.
     """
 
     place: int = 0
@@ -124,10 +124,10 @@ def function(
     *,
     calls: Sequence[Nearby] = (),
 ) -> str:
-    """Return the text of `name(arguments, awake, out)`, with a branch for each effect.
+    """Return the text of a function `name(arguments, awake, out)`, with a branch for each effect.
 
     Args:
-        calls: Evaluations extracted by `extract_calls`.
+        calls: Calls extracted by `extract_calls`.
     """
     import sympy
 
@@ -144,7 +144,7 @@ def function(
     ordered: dict[int, Block] = {}
 
     def visit(expressions: Iterator[Any]) -> None:
-        """Add the nodes in order of dependence."""
+        """Add the expressions, each after those on which it depends."""
         for symbol in sorted({s for e in expressions for s in e.free_symbols}, key=str):
             node = maker.get(symbol)
             if node is not None and id(node) not in ordered:
@@ -152,11 +152,11 @@ def function(
                 ordered[id(node)] = node
 
     visit(iter(ends))
-    homes: dict[Any, set[Any]] = {s: {None} for e in ends for s in e.free_symbols}  # symbol → branches that use it
-    within = defaultdict[Any, list[Block]](list)  # branch → its nodes; None for all branches
+    homes: dict[Any, set[Any]] = {s: {None} for e in ends for s in e.free_symbols}  # symbol → branches with it
+    within = defaultdict[Any, list[Block]](list)  # branch → its blocks; None: outside all branches
     for node in reversed(ordered.values()):
         home = None
-        if node.effect is None:  # a node that a single branch uses moves into it
+        if node.effect is None:  # a block whose results a single branch uses moves into that branch
             own = set().union(*(homes.get(s, set()) for s in node.values))
             (home,) = own if len(own) == 1 else (None,)
         for k, branch in enumerate((node.values, node.dormant)):
@@ -166,7 +166,7 @@ def function(
     printer = language.printer(places)
 
     def lines_of(home: Any, indent: str) -> Iterator[str]:
-        """Yield the lines of the nodes of a branch."""
+        """Yield the lines of the blocks in a branch."""
         for node in reversed(within[home]):
             symbols, expressions = [*node.values], [*node.values.values()]
             if isinstance(node, Nearby):
@@ -198,7 +198,7 @@ def function(
 
 
 def _needed_blocks(blocks: Sequence[Block], results: Sequence[Any]) -> list[Block]:
-    """Return the blocks required for the results, without unused symbols."""
+    """Return the blocks required for the results, without symbols that the results do not use."""
     needed = {s for e in sympified(results) for s in e.free_symbols}
     reduced = []
     for block in reversed(blocks):

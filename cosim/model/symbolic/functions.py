@@ -19,10 +19,10 @@ from cosim.model.symbolic.symbols import SymbolicModel, number_guard, symbolic
 
 @dataclass(frozen=True)
 class Shaping:
-    """Shaping of the command by effects, stage by stage, without delays.
+    """Expressions for the command after each effect that shapes it, without delays.
 
     Attributes:
-        stages: Symbol → expression for each effect.
+        stages: For each effect, symbol → expression.
         results: Expressions of the resulting command, followed by the new memory.
         remembered: Symbols of the old memory.
     """
@@ -39,7 +39,7 @@ class Body:
     Attributes:
         derivative: State → expression of its derivative.
         outputs: Output → expression.
-        parameters: Name → symbol, in the order of printed code.
+        parameters: Name → symbol, in their order in the argument p of printed code.
     """
 
     symbols: SymbolicModel
@@ -49,10 +49,10 @@ class Body:
 
     @classmethod
     def of(cls, model: Model, *, effects: bool | Collection[str] = True) -> Body:
-        """Return the body of a model, with all, some or no effects of its catalogue.
+        """Return the equations of a model as expressions, with all, some or no effects of its catalogue.
 
         Raises:
-            OfNumbersOnly: The equations use an operation that symbols lack.
+            OfNumbersOnly: The equations use an operation that symbols do not support.
         """
         s = symbolic(model, None, effects)
         with number_guard(smooth=True):
@@ -76,7 +76,7 @@ class Body:
 
     @cached_property
     def shaping(self) -> Shaping:
-        """Return the shaping of commands without delays; callers read a delayed command from the log."""
+        """Return the shaping of commands without delays, because callers read a delayed command from the log."""
         import sympy
 
         with number_guard(smooth=True):
@@ -91,7 +91,7 @@ class Body:
         """Return the text of `name(t, x, u, p, out)`, which stores the values of the expressions in `out`.
 
         Args:
-            before: Stages computed first, symbol → expression.
+            before: Stages to compute first, each symbol → expression.
         """
         return language.function(name, "t x u p", expressions, self._places, before, self.terms)
 
@@ -105,7 +105,7 @@ class Body:
         return [term for term in every if term]
 
     def shaping_function(self, language: Language, name: str) -> str:
-        """Return the text of `name(h, u, memory, p, out)`: shaped command and new memory for a substep h."""
+        """Return the text of `name(h, u, memory, p, out)`: shaped command and new memory after a substep h."""
         return language.function(name, "h u memory p", self.shaping.results, self._places, self.shaping.stages)
 
     @property

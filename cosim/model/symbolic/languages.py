@@ -17,16 +17,16 @@ class Unprintable(ValueError):
 
 
 class Language:
-    """A language for functions that write expressions to `out`, with common subexpressions computed once.
+    """Formats of a programming language, to print functions that store results in `out`.
 
     Attributes:
-        skipped, either: Format of an expression that is 0 unless one of some conditions is true.
+        skipped, either: Formats of an expression that is 0 unless a condition, or either of two conditions, is true.
         local, store: Format of a common subexpression and of a result.
         assign: Format of an assignment to a declared symbol.
         declared: Format of a declaration of symbols without values, "" for none.
         when, otherwise: Start of the branches of an active effect (place, title) and of a dormant one.
         end: End of the branches.
-        angle, power: Evaluation of sine and cosine, and of a power, near a point (place, symbols, arguments).
+        angle, power: Formats of sine and cosine, and of a power, near a known point (index, symbols, arguments).
     """
 
     skipped: str
@@ -54,8 +54,8 @@ class Language:
 
         Args:
             places: Symbol → place in the arguments, such as `x[3]`.
-            before: Stages computed first, symbol → expression of arguments and earlier symbols.
-            terms: Terms whose dormancy allows costly functions to be skipped.
+            before: Stages to compute first, each symbol → expression of arguments and earlier symbols.
+            terms: Terms; costly functions that only dormant terms need are skipped.
         """
         import sympy
 
@@ -79,7 +79,7 @@ class Language:
         """Return sympy's printer that replaces symbols by their places.
 
         Args:
-            conditions: Function → condition for its evaluation; otherwise the value is 0.
+            conditions: Function → condition under which the function is called; otherwise its value is 0.
         """
         skipped, base = self.skipped, self.base_printer()
 
@@ -94,7 +94,7 @@ class Language:
         return Printer()
 
     def base_printer(self) -> Any:
-        """Return sympy's class for this language."""
+        """Return sympy's printer class for this language."""
         raise NotImplementedError
 
     def frame(self, name: str, arguments: Sequence[str], body: str) -> str:
@@ -156,7 +156,7 @@ class Python(Language):
         from sympy.printing.pycode import PythonCodePrinter
 
         class Printer(PythonCodePrinter):  # type: ignore[misc]
-            def _print_sign(self, e: Any) -> str:  # sympy's own gives ±1 at 0
+            def _print_sign(self, e: Any) -> str:  # sympy's printer gives ±1 at 0
                 x = self._print(e.args[0])
                 return f"(1.0 if {x} > 0.0 else -1.0 if {x} < 0.0 else 0.0)"
 
@@ -167,10 +167,10 @@ class Python(Language):
 
 
 class Arrays(Python):
-    """NumPy printer, with the module named `math`: numbers are arrays; branches compute both sides."""
+    """NumPy printer: numbers are arrays, `math` is a module of array functions, and branches compute both sides."""
 
     def printer(self, places: Mapping[Any, str], conditions: Mapping[Any, str] | None = None) -> Any:
-        """Return the Python printer. Functions are never skipped, since array elements differ in their active terms."""
+        """Return the Python printer. No function is skipped, since elements may differ in their active terms."""
         return super().printer(places)
 
     def base_printer(self) -> Any:  # noqa: D102
@@ -194,18 +194,18 @@ class Arrays(Python):
 
 
 def _find_skippable(lines: Sequence[tuple[Any, Any]], terms: Sequence[Term]) -> dict[Any, Term]:
-    """Return costly functions that may be skipped: function → terms that need it, with neutral values.
+    """Return the costly functions that can be skipped: function → terms that need the function, with neutral values.
 
-    A term is dormant at its neutral values. A function that is then multiplied by 0 can be replaced by 0, and the
-    results are equal bit for bit.
+    A term is dormant at its neutral values. If the expression of a dormant term multiplies a function by 0, replacing
+    the function by 0 leaves all results equal bit for bit.
 
     Args:
-        lines: Symbol of a common subexpression, None for a result; expression.
+        lines: Pairs of a symbol (None for a result) and the expression of this subexpression or result.
     """
     import sympy
 
     def is_clear(e: Any, symbol: Any) -> bool:
-        """Return True if the effect of 0 in place of a symbol is clear."""
+        """Return True if 0 can replace a symbol in an expression: if it is a polynomial of the symbol."""
         return isinstance(e, sympy.Expr) and bool(e.is_polynomial(symbol))
 
     if not terms:
@@ -216,7 +216,7 @@ def _find_skippable(lines: Sequence[tuple[Any, Any]], terms: Sequence[Term]) -> 
     for _, e in lines:
         always |= {s for s in e.free_symbols if not is_clear(e, s)}
         functions.append({})
-        for f in e.atoms(sympy.Function, sympy.Pow):  # those much slower than a branch
+        for f in e.atoms(sympy.Function, sympy.Pow):  # functions that cost much more than a branch
             if type(f).__name__ in COSTLY or getattr(f, "is_costly", False) or (f.is_Pow and f.exp not in CHEAP):
                 place = sympy.Dummy(real=True)
                 functions[-1][f] = place, e.xreplace({f: place})

@@ -21,7 +21,7 @@ Matrix = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class LinearModel:
-    """Linear model ẋ = A·x + B·u, y = C·x + D·u at an operating point; names order rows and columns."""
+    """Linear model ẋ = A·x + B·u, y = C·x + D·u at an operating point; rows and columns in the order of the names."""
 
     A: Matrix
     B: Matrix
@@ -79,14 +79,14 @@ def linearize(model: Model, state: Values | None = None, command: Values | None 
 
 
 def printed_jacobians(model: Model, outputs: Sequence[str], effects: Collection[str] = ()) -> str:
-    """Return a Python module with ∂f/∂x, ∂f/∂u and ∂h/∂x on arrays of points.
+    """Return the text of a Python module with ∂f/∂x, ∂f/∂u and ∂h/∂x on arrays of points.
 
-    The module defines PARAMETERS (names in the order of `p`), STATE, COMMAND and OUTPUT ((row, column) of each nonzero
-    entry), and state_jacobian, command_jacobian and output_jacobian: (t, x, u, p, out) with entries written to the list
-    `out`. Numbers are floats or arrays. Booleans keep the model's values.
+    The module defines PARAMETERS (names in the order of `p`); STATE, COMMAND and OUTPUT, the (row, column) of each
+    nonzero entry; and the functions state_jacobian, command_jacobian and output_jacobian of (t, x, u, p, out), which
+    store these entries in the list `out`. Numbers are floats or arrays. Booleans have the values of the model.
 
     Args:
-        effects: Effects of the catalogue to include, without states.
+        effects: Effects of the catalogue to include, except effects with states.
     """
     body = Body.of(model, effects=effects)
     rates, symbols = [body.derivative[q.name] for q in model.base_states], body.symbols
@@ -110,7 +110,7 @@ def printed_jacobians(model: Model, outputs: Sequence[str], effects: Collection[
 
 
 def _slopes(rows: Sequence[Any], columns: Sequence[Any]) -> dict[tuple[int, int], Any]:
-    """Return (row, column) → nonzero derivative of the row by the column."""
+    """Return (row, column) → derivative of the row by the column, unless it is zero."""
     import sympy
 
     return {

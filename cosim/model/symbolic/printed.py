@@ -1,4 +1,4 @@
-"""Sympy functions that are printed verbatim, without differentiation or expansion by sympy."""
+"""Sympy functions that are printed as given texts; sympy neither differentiates nor expands them."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import sympy
 
 
 class Printed(sympy.Function):  # type: ignore[misc]  # sympy is untyped
-    """A function of numbers with its C and Python text."""
+    """A function of numbers with given texts in C and Python."""
 
     is_real = True
     c = python = ""
@@ -21,7 +21,7 @@ class Printed(sympy.Function):  # type: ignore[misc]  # sympy is untyped
 
 
 class Rint(Printed):
-    """Nearest integer, halves to even, with the slope of the argument instead of zero."""
+    """Nearest integer, halves to even. Its derivative counts as 1 instead of 0."""
 
     c, python = "rint({})", "float(round({}))"
 
@@ -31,7 +31,7 @@ class Rint(Printed):
 
 
 class LocalShape(Printed):
-    """A local shape of unnamed terms, a C function of a signal and of the first of its coefficients in `p`."""
+    """A local shape of unmodelled dynamics: a C function of a signal and of the shape's first coefficient in `p`."""
 
     c = "local_shape({}, &{})"
 

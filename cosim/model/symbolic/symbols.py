@@ -1,4 +1,4 @@
-"""Models with symbols instead of numbers, for Jacobians and generated code; input dependencies of outputs."""
+"""Models with symbols instead of numbers, for Jacobians and generated code; dependencies of outputs on inputs."""
 
 from __future__ import annotations
 
@@ -24,16 +24,16 @@ VARYING = ("state:", "input:")  # prefixes of symbol names
 
 
 class OfNumbersOnly(TypeError):
-    """An operation in a model that needs a number instead of a symbol."""
+    """An operation in a model that works on numbers but not on symbols."""
 
 
 @dataclass(frozen=True)
 class Block:
-    """Symbols computed together.
+    """Symbols that are computed together.
 
     Attributes:
         values: Symbol → expression.
-        effect: Catalogue index of the required effect, None for unconditional blocks.
+        effect: Catalogue index of the effect that must be active; None for a block that is always computed.
         dormant: Symbol → expression while the effect is dormant.
     """
 
@@ -48,7 +48,7 @@ class Shaped(NamedTuple):
 
     Attributes:
         memory: Symbols of the old memory.
-        block: Changed values; dormant are the old ones.
+        block: Block of the changed values; if the effect is dormant, the values are unchanged.
         command, remembered: Symbols of the new command and the new memory.
     """
 
@@ -81,8 +81,8 @@ class SymbolicModel:
     def shaping(self, step: Any) -> Iterator[Shaped]:
         """Yield the shaping of the command by each effect.
 
-        Later effects use plain symbols, as sympy is slow with nesting. Delays are left out, since a history is no
-        expression.
+        Each effect gets the results of earlier effects as plain symbols, because sympy is slow with nested expressions.
+        Delays are left out, since a history is not an expression.
 
         Args:
             step: Symbol of the substep's length.
@@ -109,7 +109,7 @@ class SymbolicModel:
         """Return the place of each symbol in the arguments of printed functions, such as `x[0]` or `u[1]`.
 
         Args:
-            parameters: Places of the parameters.
+            parameters: Name of each parameter's symbol → place.
         """
         groups = {"x": self.state, "u": self.command, "memory": memory}
         places = {symbol: f"{array}[{k}]" for array, group in groups.items() for k, symbol in enumerate(group)}
@@ -126,7 +126,7 @@ def sympified(values: Iterable[Any]) -> list[Any]:
 def symbolic(
     model: Model, flags: bool | Mapping[str, bool] | None = None, effects: bool | Collection[str] = True
 ) -> SymbolicModel:
-    """Return the model with symbols in place of numbers and with all, some or no effects.
+    """Return a model with symbols instead of numbers, and with all, some or no effects.
 
     Args:
         flags: Value of all Booleans, or values by FMI name; default: those of the model.
@@ -148,14 +148,14 @@ def symbolic(
     names = [kind.name for kind in model.catalogue] if effects is True else effects or ()
     terms = tuple(as_symbols(kind(), f"{kind.name}.") for kind in model.catalogue if kind.name in names)
     awake = replace(as_symbols(model, ""), effects=terms)
-    # prefixed, since an input and a state may have the same name
+    # with a prefix, since an input and a state may have the same name
     state = tuple(sympy.Symbol(f"state:{q.name}", real=True) for q in awake.states)
     command = tuple(sympy.Symbol(f"input:{q.name}", real=True) for q in awake.inputs)
     return SymbolicModel(awake, sympy.Symbol("time", real=True), symbols, state, command)
 
 
 def output_dependencies(model: Model) -> tuple[dict[str, tuple[str, ...]], dict[str, tuple[str, ...]]]:
-    """Return the dependencies of each output, those with any effect and any value of a Boolean parameter.
+    """Return the dependencies of each output, for any active effects and any values of Boolean parameters.
 
     Returns:
         Two mappings by output: inputs with direct feedthrough, in their order; parameters, start values and inputs that
@@ -187,11 +187,11 @@ def output_dependencies(model: Model) -> tuple[dict[str, tuple[str, ...]], dict[
 def number_guard(*, smooth: bool = False) -> Iterator[None]:
     """Within the `with` block, raise OfNumbersOnly for `==`, `!=`, `%` and `//` of symbols in a model's code.
 
-    Without this check, a comparison of symbols would give a wrong value. Sympy and the tracer compare expressions too;
-    the file of the operator distinguishes the cases.
+    Without this check, a comparison of symbols would give a wrong value. Comparisons by sympy and the tracer are
+    allowed; the file that contains the operator decides.
 
     Args:
-        smooth: Refuse `%` and `//` only for states and inputs, which must be differentiable.
+        smooth: Refuse `%` and `//` only for states and inputs, by which the equations are differentiated.
     """
     import sympy
 

@@ -1,8 +1,8 @@
 """Symbolic evaluation of the equations effect by effect; each effect becomes a block that can be skipped.
 
-A model calls its effects through methods (hooks) with names of its own. Each call of an overridden hook is recorded as
-a block: its expressions with the active effect, and its expressions at the neutral values. One set of expressions then
-serves every combination of effects, and a dormant effect costs one jump.
+A model calls its effects through methods (hooks), whose names the model chooses. Each call of a hook that an effect
+overrides is recorded as a block: its expressions with the active effect, and at the neutral values. One set of
+expressions then serves every combination of effects, and a dormant effect costs one jump.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ INTEGRATOR_HOOKS = ("shape", "remember")  # hooks called by the integrator inste
 
 
 class UnprintableModel(ValueError):
-    """A model without a symbolic form or C equivalent, e.g. with an effect undefined at its neutral value.
+    """A model that has no symbolic form or C equivalent, e.g. because an effect is undefined at its neutral value.
 
     Attributes:
         owner, hook: Class and hook of the effect at fault, if any.
@@ -33,23 +33,23 @@ class UnprintableModel(ValueError):
 
 
 class Trace:
-    """A model with all effects of its catalogue as blocks, and expressions of their symbols.
+    """The expressions of a model, with each effect of its catalogue as blocks.
 
     Args:
         flags: Values of the Booleans.
 
     Attributes:
         effects: Active effects of the catalogue in order.
-        shaping: Blocks of the command.
+        shaping: Blocks of the effects that shape the command.
         derivative, outputs: Expression of each state's derivative and of each output.
-        shaped, remembered: Acting commands, and the memory after a substep from the symbols in `memory`; delays are
-            excluded, since a history is no expression.
-        started: Memory at the start time from the start values in `memory`.
+        shaped, remembered: Expressions of the shaped commands, and of the memory after a substep as a function of the
+            symbols in `memory`. Delays are excluded, since a history is not an expression.
+        started: Expressions of the memory at the start time, as a function of its start values.
         step: Symbol of the substep's length.
 
     Raises:
         UnprintableModel: An effect has no symbolic form.
-        OfNumbersOnly: The equations use an operation that symbols lack.
+        OfNumbersOnly: The equations use an operation that symbols do not support.
     """
 
     def __init__(self, model: Model, flags: Mapping[str, bool] | None = None) -> None:
@@ -103,7 +103,7 @@ class Trace:
         return {self.step: "h", **self.s.places(named, self.memory)}
 
     def _name(self, expression: Any) -> Any:
-        """Return the symbol of an expression; equal expressions share a symbol."""
+        """Return the symbol that stands for an expression; equal expressions share a symbol."""
         import sympy
 
         if expression.is_Atom:
@@ -164,7 +164,7 @@ class Trace:
             return symbol
 
         result = _map(values, leaf)
-        # The arguments are included, so that a text such as <object at 0x…> stays that of one object.
+        # The list of arguments is kept, so that a text such as <object at 0x…> always means the same object.
         self._calls[key] = arguments, keywords, result
         if block.values:
             self.blocks.append(block)

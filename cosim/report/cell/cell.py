@@ -1,4 +1,4 @@
-"""Charts for the output of a notebook's cell: interactive, of limited size for runs of any length, or by matplotlib."""
+"""Charts for a notebook's cell: interactive, of limited size for runs of any length, or drawn by matplotlib."""
 
 from __future__ import annotations
 
@@ -21,16 +21,17 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 PAGE = Path(__file__).with_name("templates") / "cell.html.j2"
-MAX_VALUES = 100_000  # in a cell: some 300 kB of the notebook
-MAX_CURVES = 24  # in a cell; callers choose them
-MIN_POINTS, MAX_POINTS = 50, 2000  # of each curve that keep its peaks
-ROW_HEIGHT, MAX_HEIGHT = 330, 700  # of two charts side by side, and of the frame [px]
+MAX_VALUES = 100_000  # values in a cell, about 300 kB of the notebook
+MAX_CURVES = 24  # curves in a cell, chosen by callers
+MIN_POINTS, MAX_POINTS = 50, 2000  # rows of each curve, chosen so that peaks remain
+ROW_HEIGHT, MAX_HEIGHT = 330, 700  # height [px] of a row of two charts, and of the frame
 
 
 def rows_to_show(curves: Sequence[Array]) -> Rows:
-    """Return the rows that a frame has of some curves: all, or those that keep each peak and gap of each curve.
+    """Return the indices of the rows to draw: all rows, or a selection with each peak and gap of each curve.
 
-    Each bucket of rows keeps the least and the largest value of each curve, and its first gap.
+    The rows are divided into equal buckets. Selected are the least value, the largest value and the first gap of each
+    curve in each bucket.
     """
     limit = max(MIN_POINTS, min(MAX_POINTS, MAX_VALUES // max(1, len(curves)) ** 2))
     count = curves[0].size if curves else 0
@@ -49,9 +50,9 @@ def rows_to_show(curves: Sequence[Array]) -> Rows:
 
 
 def cell_of(time: Array, panels: Sequence[Panel], title: str, *, rows: int, omitted: int = 0) -> str:
-    """Return HTML with a frame of interactive charts, "" without rows or panels.
+    """Return HTML with a frame of interactive charts, or "" if there are no rows or panels.
 
-    A notebook that is not trusted omits the frame.
+    A notebook that is not trusted does not show the frame.
 
     Args:
         time: Times of the rows to show.
@@ -69,7 +70,7 @@ def cell_of(time: Array, panels: Sequence[Panel], title: str, *, rows: int, omit
 
 
 def frame_of(charts: Charts, plots: Sequence[Plot], title: str) -> str:
-    """Return HTML with a frame of charts, which can neither read nor change the notebook: without allow-same-origin."""
+    """Return HTML with a frame of charts, which can neither read nor change the notebook (no allow-same-origin)."""
     page = render(PAGE, {"plots": plots, "title": title}, charts)
     height = min(MAX_HEIGHT, ROW_HEIGHT * -(-len(plots) // 2))
     style = f"width:100%;height:{height}px;border:0;resize:vertical"

@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-# Okabe and Ito's colours are distinct for all common kinds of colour vision; dashes work without colour.
-DASHES = {"again": "--", "third": ":"}  # of further runs with the colours of a comparison
+# colours of Okabe and Ito are distinct for all common kinds of colour vision; dashes distinguish lines without colour
+DASHES = {"again": "--", "third": ":"}  # second and third run of a comparison, in the colours of the first
 LINES: dict[str, tuple[str, str, float]] = {
     "s0": ("#0072b2", "-", 1.1),
     "s1": ("#d55e00", "--", 1.1),
@@ -31,7 +31,7 @@ LINES: dict[str, tuple[str, str, float]] = {
     "baseline": ("#1a1a1a", "-", 2.0),
 }
 PANELS_A_FIGURE = 8
-LONGEST_LABEL = 48  # characters, so that titles and legends leave room for the curves
+LONGEST_LABEL = 48  # characters of a label, so that titles and legends leave room for curves
 
 
 def write_pages(
@@ -45,7 +45,7 @@ def write_pages(
 
 
 def write_figures(folder: Path, results: Results, manifest: Mapping[str, Any]) -> list[Path]:
-    """Write PNG figures of a run and return their paths; a run without rows has none."""
+    """Write PNG figures of a run and return their paths; none for a run without rows."""
     with showing(manifest):
         run, paths = drawable_run(results, manifest), []
         if run.time.size == 0:
@@ -60,7 +60,7 @@ def write_figures(folder: Path, results: Results, manifest: Mapping[str, Any]) -
 
 
 def sheet(time: Array, panels: Sequence[Panel]) -> Figure:
-    """Return a figure of panels over time [s], in two columns."""
+    """Return a matplotlib figure of panels over time [s], in two columns."""
     columns = 1 if len(panels) == 1 else 2
     rows = -(-len(panels) // columns)
     figure = new_figure(5.6 * columns, 2.6 * rows + 0.3)
@@ -93,7 +93,7 @@ def _panel(ax: Axes, time: Array, panel: Panel) -> None:
 
 
 def literal(text: str) -> str:
-    """Return text safe from matplotlib's TeX and hidden labels; a long one with its first and its last letters."""
+    """Return text that matplotlib shows literally (no TeX, no hidden label), shortened in the middle if it is long."""
     if len(text) > LONGEST_LABEL:
         text = f"{text[: LONGEST_LABEL // 2]}…{text[1 - LONGEST_LABEL // 2 :]}"
     return text.replace("$", r"\$").removeprefix("_")

@@ -1,4 +1,4 @@
-"""A run as read by the page: results and manifest, tolerant of missing entries."""
+"""Results and manifest of a run, as pages read them; missing entries are accepted."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ from cosim.files.results import Results
 from cosim.report.panels import Trace
 from cosim.report.template import Row
 
-MIN_READINGS = 100  # about half a second, below which shares of the wall time say little
+MIN_READINGS = 100  # readings of the current call, half a second, below which shares of the wall time are too uncertain
 
 
 def mapping(value: Any) -> Mapping[str, Any]:
-    """Return a mapping, empty for anything else."""
+    """Return a value if it is a mapping, otherwise an empty mapping."""
     return value if isinstance(value, Mapping) else {}
 
 
 def mappings(value: Any) -> list[Mapping[str, Any]]:
-    """Return the mappings in a list, none for anything else."""
+    """Return the mappings in a list; an empty list for other values."""
     return [item for item in value if isinstance(item, Mapping)] if isinstance(value, list | tuple) else []
 
 
@@ -46,14 +46,14 @@ def number(value: Any, default: float = float("nan")) -> float:
 
 @dataclass(frozen=True)
 class ComponentPage:
-    """Sections for some components, on a page with the signals of every run.
+    """Sections on some components, which are added to the page of a run.
 
     Attributes:
-        template: Extends run.html.j2.
-        values: Values of the template besides the values of every page.
-        tiles: Key figures.
-        shown: Columns in these sections, omitted from the signals.
-        data: Data of the script.
+        template: Template that extends run.html.j2.
+        values: Values for the template, in addition to those of every page.
+        tiles: Key figures at the top of the page.
+        shown: Columns that these sections show; the section on signals omits them.
+        data: Data for the page's script.
     """
 
     template: Path
@@ -65,13 +65,13 @@ class ComponentPage:
 
 @dataclass(frozen=True)
 class Run:
-    """Results and manifest of a run, tolerant of missing entries."""
+    """Results and manifest of a run; entries of the manifest may be missing."""
 
     results: Results
     manifest: Mapping[str, Any]
 
     def part(self, key: str) -> Mapping[str, Any]:
-        """Return the mapping of a key of the manifest, empty without one."""
+        """Return the mapping under a key of the manifest; empty if it is missing."""
         return mapping(self.manifest.get(key))
 
     @property
@@ -91,18 +91,18 @@ class Run:
 
     @cached_property
     def links(self) -> list[tuple[str, str]]:
-        """Return the connections as pairs of `component.variable`."""
+        """Return the connections as pairs (source, target) of `component.variable`."""
         pairs = ((link.get("from"), link.get("to")) for link in self.connections)
         return [(source, target) for source, target in pairs if isinstance(source, str) and isinstance(target, str)]
 
     @property
     def algorithm(self) -> str:
-        """Return the name of the coupling algorithm, or the default."""
+        """Return the name of the coupling algorithm; the default if it is not recorded."""
         return str(self.scenario.get("algorithm") or (DEFAULT.name if self.links else ""))
 
     @cached_property
     def variables(self) -> dict[str, set[str]]:
-        """Return component → recorded variables."""
+        """Return component → names of its recorded variables."""
         variables: dict[str, set[str]] = {}
         for column in self.results.columns:
             component, _, variable = column.partition(".")
@@ -116,23 +116,23 @@ class Run:
 
     @property
     def has_failed(self) -> bool:
-        """Return whether the simulation stopped early."""
+        """Return True if the simulation stopped early."""
         return str(self.manifest.get("status") or "ok") != "ok"
 
     def signal(self, column: str) -> Array | None:
-        """Return a column of the results, None if not recorded."""
+        """Return a column of the results, None if it is not recorded."""
         if column not in self.results:
             return None
         return self.results[column]
 
     @cached_property
     def items(self) -> dict[str, dict[float, str]]:
-        """Return column → enumeration items by number."""
+        """Return column → number → item, for columns of enumerations."""
         columns = self.part("items").items()
         return {str(c): {number(v): str(name) for name, v in mapping(items).items()} for c, items in columns}
 
     def trace(self, column: str, style: str, label: str = "") -> Trace:
-        """Return the line of a column in its displayed unit."""
+        """Return the line of a column, with values in the display unit."""
         values, is_held = displayed(self.results[column], self.unit(column)), column in self.results.whole
         return Trace(label or column, values, style, held=is_held, items=self.items.get(column, {}))
 
@@ -141,7 +141,7 @@ class Run:
         return self.results.units.get(column, "")
 
     def start(self, component: str | None) -> Mapping[str, Any]:
-        """Return a component's start values in the scenario."""
+        """Return the start values that the scenario sets for a component."""
         return mapping(self.components.get(component or "", {}).get("start"))
 
     def source(self, target: str) -> str | None:
@@ -150,7 +150,7 @@ class Run:
 
 
 def disturbances(run: Run, link: Mapping[str, Any]) -> list[str]:
-    """Return a connection's noise, with its standard deviation, and injected faults as text."""
+    """Return texts on the noise (standard deviation) and the injected faults of a connection."""
     parts, noise, target = list[str](), mapping(link.get("noise")), str(link.get("to"))
     if noise:
         unit = run.unit(target) or run.unit(str(link.get("from")))
@@ -163,13 +163,13 @@ def disturbances(run: Run, link: Mapping[str, Any]) -> list[str]:
 
 
 def faults_on(run: Run, inputs: Sequence[str]) -> list[Mapping[str, Any]]:
-    """Return faults injected into connections to given inputs."""
+    """Return the faults that are injected into connections to these inputs."""
     names = {*inputs, *(name.partition("[")[0] for name in inputs)}
     return [fault for fault in mappings(run.scenario.get("faults")) if fault.get("on") in names]
 
 
 def fault_text(fault: Mapping[str, Any]) -> str:
-    """Return a fault as text: `bias 0.1 from 2 s to 4 s`."""
+    """Return an injected fault as text: `bias 0.1 from 2 s to 4 s`."""
     sizes = [str(fault["value"])] if "value" in fault else []
     sizes += [f"of {fault['delay']} s"] if "delay" in fault else []
     sizes += [f"with probability {fault['probability']}"] if "probability" in fault else []
@@ -178,7 +178,7 @@ def fault_text(fault: Mapping[str, Any]) -> str:
 
 
 def time_sentence(timings: Mapping[str, Any]) -> str:
-    """Return a sentence on the slowest component, if measured."""
+    """Return a sentence on the component with the most wall time; "" if times were not measured."""
     components = mapping(timings.get("components"))
     if not components or not number(timings.get("readings")) >= MIN_READINGS:
         return ""

@@ -1,4 +1,4 @@
-"""The page of any run: header, signals, figures of merit, wall time, provenance."""
+"""The page of a run: header, signals, figures of merit, wall time, provenance."""
 
 from __future__ import annotations
 
@@ -45,17 +45,17 @@ TEMPLATE = Path(__file__).with_name("templates") / "run.html.j2"
 MAX_TILES = 4
 LIMIT_LABEL = "allowed"
 REFERENCE = re.compile(r"(?<=\.)ref(erence)?_|_(ref|reference|sp|set|setpoint|set_point|desired|target|wanted|cmd)$")
-WIDTHS = {"settling_time": "band", "peak": "max", "final_error": "max"}  # criterion → its distance from the target
-MAX_CONNECTIONS = 40  # with a separate chart; signals of further connections are among the others
-MAX_WIRES = 200  # in the system diagram; `cosim graph` draws all
+WIDTHS = {"settling_time": "band", "peak": "max", "final_error": "max"}  # criterion → key of its limit
+MAX_CONNECTIONS = 40  # connections with a separate chart; signals of further connections are in the charts by unit
+MAX_WIRES = 200  # connections in the system diagram; `cosim graph` draws all
 MAX_SIGNALS = 1000  # signals on a page
 MAX_LISTED = 1000  # connections in the table
-DRAWABLE = 1e100  # a diverged run has larger values, with squares that may overflow
-MOST_NAMES = 5  # in a note
-MAX_SPELLED, MAX_CHANGES = 200, 8  # signals on a page, and changes of each
+DRAWABLE = 1e100  # larger values, of a diverged run, are not drawn, since their squares may overflow
+MOST_NAMES = 5  # names in a note
+MAX_SPELLED, MAX_CHANGES = 200, 8  # signals of text and the like on a page, and shown changes of each
 STEP = "time between two exchanges of values among the components"
-MIN_SHARE = 0.01  # of the wall time of a component with a row
-NAMES = {"peak": "largest magnitude"}  # of kinds, others are shown as the scenario names them
+MIN_SHARE = 0.01  # share of the wall time from which a component has its own table row
+NAMES = {"peak": "largest magnitude"}  # kinds of criteria with another title than in the scenario
 
 
 @far_beyond
@@ -98,7 +98,7 @@ def _page(run: Run) -> str:
         "criteria": goals,
         "rows": run.time.size,
         "end": run.time[-1] if has_rows else 0.0,
-        "data": drawing.charts.data(page.data),  # after all drawings
+        "data": drawing.charts.data(page.data),  # after all drawings, which add data
         "diagram": graph.svg(alone=False) if graph is not None and graph.links else "",
         "provenance": provenance(run),
         "connections": connected[:MAX_LISTED],
@@ -117,7 +117,7 @@ def _page(run: Run) -> str:
 
 
 def drawable_run(results: Results, manifest: Mapping[str, Any]) -> Run:
-    """Return a run's rows with finite time, and NaN for all values not drawable."""
+    """Return the run with finite times only, and with NaN for values that cannot be drawn."""
     timed = np.isfinite(results.time)
     values = results.values[timed]
     drawable = np.where(np.abs(values) < DRAWABLE, values, np.nan)
@@ -127,7 +127,7 @@ def drawable_run(results: Results, manifest: Mapping[str, Any]) -> Run:
 def judged_panels(run: Run) -> list[Panel]:
     """Return a panel for each signal with a criterion, missed criteria first.
 
-    Each panel shows target and limits.
+    Each panel shows the target and the limits.
     """
     entries = sorted(mappings(run.manifest.get("criteria")), key=lambda entry: bool(entry.get("met")))
     panels: dict[str, Panel] = {}
@@ -137,9 +137,9 @@ def judged_panels(run: Run) -> list[Panel]:
             continue
         names, limits = [(name, "true")], tuple[float, ...]()
         if not isinstance(target, str):
-            width = number(entry.get(WIDTHS.get(kind, "")))  # NaN without limits
+            width = number(entry.get(WIDTHS.get(kind, "")))  # NaN if there are no limits
             low, high = extent([run.results[name]]) or (0.0, 0.0)
-            is_one_sided = kind == "peak" and not number(target)  # of a signal that keeps its sign
+            is_one_sided = kind == "peak" and not number(target)  # true for the peak of a signal that keeps its sign
             sides = (1.0,) if is_one_sided and low >= 0.0 else (-1.0,) if is_one_sided and high <= 0.0 else (-1.0, 1.0)
             ends = (displayed(number(target) + side * width, run.unit(name)) for side in sides)
             limits = tuple(end for end in ends if math.isfinite(end))
@@ -153,9 +153,9 @@ def judged_panels(run: Run) -> list[Panel]:
 def connection_panels(
     run: Run, connected: Sequence[Mapping[str, str]], shown: frozenset[str] = frozenset()
 ) -> dict[tuple[str, str], Panel]:
-    """Return sent and received signal of each connection, if recorded in one unit.
+    """Return a panel with the source and target signal of each connection, if both are recorded in one unit.
 
-    The reference of an input, such as `x_ref` of `x`, is in the chart of the input.
+    The panel of an input also shows its reference, such as `x_ref` for `x`.
     """
     panels: dict[tuple[str, str], Panel] = {}
     fed = {link["target"]: link for link in connected if link["target"] in run.results and link["target"] not in shown}
@@ -175,7 +175,7 @@ def connection_panels(
 
 
 def signal_panels(run: Run, shown: frozenset[str] = frozenset()) -> list[Panel]:
-    """Return the columns not in `shown`, grouped by unit, MAX_SIGNALS at most."""
+    """Return the columns not in `shown`, grouped by unit, at most MAX_SIGNALS columns."""
     panels = []
     names = [column for column in run.results.columns if column not in shown][:MAX_SIGNALS]
     for _, columns in by_unit(names, run.unit, run.results.__getitem__):
@@ -186,7 +186,7 @@ def signal_panels(run: Run, shown: frozenset[str] = frozenset()) -> list[Panel]:
 
 
 def _panel(run: Run, title: str, traces: Sequence[Trace], columns: Sequence[str], **more: Any) -> Panel:
-    """Return a panel of columns of one unit, with a band over the times of faults in them."""
+    """Return a panel of columns of one unit, with shaded times at which faults are injected into them."""
     band, faults, around = None, faults_on(run, columns), extent([trace.values for trace in traces])
     if faults and around is not None:
         acting = np.zeros(run.time.size, bool)
@@ -199,12 +199,12 @@ def _panel(run: Run, title: str, traces: Sequence[Trace], columns: Sequence[str]
 
 
 def results_cell(results: Results, names: Sequence[str], title: str) -> str:
-    """Return HTML with an interactive chart of the first of the named signals; those of one unit share a panel.
+    """Return HTML with an interactive chart of the first of the named signals, one panel per unit.
 
-    A note names signals of texts, which are not drawn, and integers that doubles round.
+    A note names text signals, which are not drawn, and integers that are rounded to doubles.
     """
     shown = tuple(names[:MAX_CURVES])
-    rows = rows_to_show([results[name] for name in shown])  # first of all: a long run is not copied
+    rows = rows_to_show([results[name] for name in shown])  # rows are selected first, so that a long run is not copied
     values = np.column_stack([results[name][rows] for name in shown]) if shown else np.empty((rows.size, 0))
     run = drawable_run(replace(results, time=results.time[rows], columns=shown, values=values, exact={}), {})
     omitted = len(names) - len(shown)
@@ -217,7 +217,7 @@ def results_cell(results: Results, names: Sequence[str], title: str) -> str:
 
 
 def trust(run: Run, drawing: Drawing) -> dict[str, Any]:
-    """Return what FMUs with a record of credibility say: the share of the time within their logs, and error bands."""
+    """Return, for FMUs with a record of credibility, the share of the time within their logs, and error bands."""
     rows, panels = list[Row](), list[Panel]()
     for name, entry in run.part("validity").items() if run.time.size else ():
         outputs = {v: run.results[c] for c in run.results.columns for n, _, v in [c.partition(".")] if n == name}
@@ -231,7 +231,7 @@ def trust(run: Run, drawing: Drawing) -> dict[str, Any]:
 
 
 def badges(run: Run, judged: Sequence[Mapping[str, Any]]) -> list[str | tuple[str, str]]:
-    """Return badges: status, criteria, algorithm, noise, seed and warnings."""
+    """Return the badges in the page's header: status, criteria, algorithm, noise, seed and warnings."""
     met, warnings = sum(criterion["met"] for criterion in judged), texts(run.manifest.get("warnings"))
     algorithm, seed = algorithms().get(run.algorithm), run.manifest.get("seed")
     badges = (
@@ -247,7 +247,7 @@ def badges(run: Run, judged: Sequence[Mapping[str, Any]]) -> list[str | tuple[st
 
 
 def event_rows(run: Run) -> list[dict[str, str]]:
-    """Return the events of a run with event mode, by component and cause."""
+    """Return table rows with the number of events by component and cause, for a run with event mode."""
     events = run.manifest.get("first_events")
     firsts: dict[tuple[str, str], str] = {}
     for event in events if isinstance(events, list) else []:
@@ -262,7 +262,7 @@ def event_rows(run: Run) -> list[dict[str, str]]:
 
 
 def spelled_values(run: Run) -> list[Row]:
-    """Return table rows of recorded values without curve, with the times of their changes.
+    """Return table rows for recorded values that cannot be drawn, with the times of their changes.
 
     These are text, 64-bit integers, binary data and enumeration items.
     """
@@ -284,7 +284,7 @@ def spelled_values(run: Run) -> list[Row]:
 
 
 def connections(run: Run) -> list[dict[str, str]]:
-    """Return source, target and disturbances of the connections of the scenario."""
+    """Return table rows of connections: source, target, noise and faults."""
     return [
         {"source": str(c.get("from", "?")), "target": str(c.get("to", "?")), "noise": "; ".join(disturbances(run, c))}
         for c in run.connections
@@ -292,13 +292,13 @@ def connections(run: Run) -> list[dict[str, str]]:
 
 
 def fmi_kind(fmu: Mapping[str, Any]) -> str:
-    """Return version and interface of an FMU of the manifest: `FMI 2.0, co-simulation`; "" if not recorded."""
+    """Return version and interface of an FMU in the manifest: `FMI 2.0, co-simulation`; "" if not recorded."""
     version, interface = fmu.get("fmi_version"), str(fmu.get("interface")).replace("-e", " e")
     return f"FMI {version}, {interface}" if version else ""
 
 
 def component_rows(run: Run) -> list[dict[str, str]]:
-    """Return name, FMU or block, kind and settings of the scenario's components."""
+    """Return table rows of components: name, FMU or block, kind and settings."""
     rows, fmus = [], run.part("fmus")
     for name, component in run.components.items():
         kind = fmi_kind(mapping(fmus.get(name)))
@@ -319,7 +319,7 @@ def component_rows(run: Run) -> list[dict[str, str]]:
 
 
 def time_rows(run: Run) -> list[dict[str, str]]:
-    """Return the measured wall times of components by calls, and of waiting."""
+    """Return table rows with the wall time of each component by kind of call, and of waiting."""
     timings = run.part("timings")
     if not number(timings.get("readings")) >= MIN_READINGS:
         return []
@@ -339,7 +339,7 @@ def time_rows(run: Run) -> list[dict[str, str]]:
 
 
 def provenance(run: Run) -> list[Row]:
-    """Return known facts for reproducing the run; numbers of steps, loops and pace are those of the manifest."""
+    """Return table rows with facts for repeating the run, from the manifest."""
     manifest, rows = run.manifest, list[Row]()
     keys = ("model_name", "version", "guid", "sha256", "generation_tool")
     for name, entry in run.part("fmus").items():
@@ -378,7 +378,7 @@ def _seconds(value: Any) -> str:
 
 
 def fact_lines(facts: Mapping[str, Any]) -> str:
-    """Return facts of the manifest as lines of their key and value."""
+    """Return facts of the manifest as text, one line `key: value` per fact."""
     return "\n".join(f"{str(key).replace('_', ' ')}: {fact_text(value)}" for key, value in facts.items())
 
 
@@ -393,7 +393,7 @@ def fact_text(value: Any) -> str:
 
 
 def criteria(run: Run) -> list[dict[str, Any]]:
-    """Return title, value, allowed value, margin and outcome of the manifest's criteria as text."""
+    """Return title, value, allowed value, margin and outcome of each criterion in the manifest, as text."""
     rows = []
     for entry in mappings(run.manifest.get("criteria")):
         own_unit, unit = run.unit(str(entry.get("of"))), str(entry.get("unit") or "")
@@ -417,7 +417,7 @@ def criteria(run: Run) -> list[dict[str, Any]]:
 
 
 def outcome(run: Run, judged: Sequence[Mapping[str, Any]]) -> str:
-    """Return the run's outcome in one or two sentences."""
+    """Return one or two sentences on the outcome of the run."""
     if run.has_failed:
         reason = str(run.manifest["status"]).removeprefix("failed").lstrip(": ") or "no reason was recorded"
         return f"The simulation failed: {reason}. The rows before that are shown."

@@ -1,4 +1,4 @@
-"""Diagram of a system: components in stepping order, signals, units, noise and faults; as SVG or Mermaid."""
+"""Diagram of a system as SVG or Mermaid: components in stepping order, signals, units, noise and faults."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ Port = tuple[str, str, tuple[str, ...]]
 
 @dataclass(frozen=True)
 class DiagramLink:
-    """A connection with its ends, units, noise and faults; `held` passes on the value from the step's start."""
+    """A connection with its ends, units, noise and faults; `held`: the target gets the value from the step's start."""
 
     source: str
     target: str
@@ -57,17 +57,18 @@ class Graph:
     def svg(self, *, alone: bool = True) -> str:
         """Return the diagram as SVG.
 
-        Boxes stand from left to right. Wires back run below the boxes, wires past a box above.
+        Boxes are drawn from left to right, in stepping order. Connections to an earlier box run below the boxes,
+        connections that pass a box run above.
 
         Args:
-            alone: Whether for a file of its own, with light and dark colours.
+            alone: True for a separate file, which needs its own light and dark colours.
         """
         if not self.about:
             return ""
         place = {name: k for k, name in enumerate(self.about)}
-        # of each box, inputs and outputs: variable → name, unit, notes on noise and faults below
+        # inputs and outputs of each box: variable → name, unit, notes on noise and faults
         ports: dict[str, tuple[dict[str, Port], dict[str, Port]]] = {name: ({}, {}) for name in place}
-        wires = []  # numbers of the boxes at both ends
+        wires = []  # box numbers of both ends
         for link in self.links:
             for side, (end, unit) in enumerate(zip((link.target, link.source), link.units[::-1], strict=True)):
                 owner, _, variable = end.partition(".")
@@ -75,12 +76,12 @@ class Graph:
                 ports[owner][side].setdefault(variable, (_cut(variable), written(unit), notes))
             wires.append((place[link.source.partition(".")[0]], place[link.target.partition(".")[0]]))
         gaps = [_order(gap, wires) for gap in range(len(place) + 1)]
-        # Wires past a box run in lanes above, wires back in lanes below.
+        # Connections that pass a box run in lanes above; connections to an earlier box in lanes below.
         above = {k: lane for lane, k in enumerate(reversed([k for k, (a, b) in enumerate(wires) if b > a + 1]))}
         below = {k: lane for lane, k in enumerate(reversed([k for k, (a, b) in enumerate(wires) if b <= a]))}
         top, x = MARGIN + LANE * len(above), float(MARGIN + SLOT * (1 + len(gaps[0])))
         parts, bottom = list[str](), 0.0
-        places: tuple[dict[str, tuple[float, float]], dict[str, tuple[float, float]]] = {}, {}  # of inputs, of outputs
+        places: tuple[dict[str, tuple[float, float]], dict[str, tuple[float, float]]] = {}, {}  # inputs, outputs
         for number, (name, about) in enumerate(self.about.items(), 1):
             title, sides = f"{number} {_cut(name)}", ports[name]
             widths = sum(max([0.0, *(_width(*port) for port in side.values())]) for side in sides)
@@ -163,7 +164,7 @@ class Graph:
 
 
 def graph_of_run(run: Run) -> Graph | None:
-    """Return a run's diagram, None for an incomplete manifest."""
+    """Return the diagram of a run; None if the manifest is incomplete."""
     order, held = run.manifest.get("order"), run.manifest.get("held")
     if not isinstance(order, list) or not isinstance(held, list) or set(order) != set(run.components):
         return None
@@ -175,7 +176,7 @@ def graph_from(scenario: Mapping[str, Any], order: Sequence[str], held: set[str]
 
     Args:
         order: Components in stepping order.
-        held: Inputs that see the value from the step's start.
+        held: Inputs that get the value from the step's start.
     """
     run = Run(Results(np.empty(0), (), np.empty((0, 0)), units), {"scenario": scenario})
     about = {}
@@ -197,7 +198,7 @@ def graph_from(scenario: Mapping[str, Any], order: Sequence[str], held: set[str]
 
 
 def _width(name: str, unit: str, notes: Sequence[str]) -> float:
-    """Return the width of a port [px]."""
+    """Return the width of a port with its notes [px]."""
     characters = len(name) + (len(unit) + 3 if unit else 0)
     return max([CHARACTER * characters, *(SMALL * len(text) for text in notes)])
 
@@ -212,7 +213,7 @@ def _cut(text: str) -> str:
 
 
 def _order(gap: int, wires: Sequence[tuple[int, int]]) -> list[tuple[int, str]]:
-    """Return the wires in the gap before a box from left to right, each with its end "out" or "in".
+    """Return the vertical wires in the gap before a box from left to right, each with its end "out" or "in".
 
     In this order, wires of neighbouring ports do not cross.
     """
