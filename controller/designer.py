@@ -51,7 +51,7 @@ SETTINGS: Mapping[str, type[Settings]] = {
     TIME_VARIANT: TimeVariantSettings,
 }
 # option, its place in a list → start value; a predictive law has no fifth state
-UNCHANGED: dict[Place, str] = {("thrust_nominal",): "thrust_nominal", ("lag",): "lag"}
+OPTION_START_VALUES: dict[Place, str] = {("thrust_nominal",): "thrust_nominal", ("lag",): "lag"}
 OF_PREDICTION: dict[Place, str] = {
     ("horizon",): "horizon",
     ("speed_max",): "speed_max",
@@ -158,7 +158,7 @@ def controller_starts(
     if craft is not None:
         values = {n: getattr(craft, n) for n in OF_CRAFT} if name == TIME_VARIANT else {}
         values |= {n: value for n, value in numbers_of(craft).items() if n in declared}
-    for place, start in (UNCHANGED | OF_PREDICTION if predicts else UNCHANGED).items():
+    for place, start in (OPTION_START_VALUES | OF_PREDICTION if predicts else OPTION_START_VALUES).items():
         if (value := options[str(place[0])]) is not None:
             places[start], values[start] = place, float(value[place[1]] if place[1:] else value)
     if name != TIME_VARIANT and options["estimator"] is not None:

@@ -24,13 +24,13 @@ from controller.settings import (
 from cosim.model import Moment, Stepper
 from plant.hovercraft import Hovercraft
 
-ESTIMATED = ("x", "vx", "psi", "psi_dot")
+ESTIMATED_STATES = ("x", "vx", "psi", "psi_dot")
 SIZE, AT = len(PLANT_STATES), PLANT_STATES.index
 # x_world and y_world repeat x and y without weight, so predictive control predicts twelve of fourteen states.
 PREDICTED = [k for k, name in enumerate(PLANT_STATES) if not name.endswith("_world")]
-NAMES = [PLANT_STATES[k] for k in PREDICTED]
-FILTERED = [NAMES.index(name) for name in ESTIMATED]  # states of the filter of the thesis
-OBSERVED = [k for k in range(len(NAMES)) if k not in FILTERED]
+PREDICTED_STATES = [PLANT_STATES[k] for k in PREDICTED]
+FILTERED = [PREDICTED_STATES.index(name) for name in ESTIMATED_STATES]  # states of the filter of the thesis
+OBSERVED = [k for k in range(len(PREDICTED_STATES)) if k not in FILTERED]
 
 
 class Stateful:
@@ -168,7 +168,7 @@ class HoverFilter(LinearFilter):
         self.observer = kf = KalmanFilter(dim_x=n, dim_z=1, dim_u=len(self.rest))
         kf.F, kf.B = discretize(A[np.ix_(of, of)], B[of], p.sample_time)
         kf.x, kf.P, kf.Q, kf.H = np.zeros(n), np.zeros((n, n)), np.zeros((n, n)), np.zeros((1, n))
-        self.y, vy = (OBSERVED.index(NAMES.index(name)) for name in ("y", "vy"))
+        self.y, vy = (OBSERVED.index(PREDICTED_STATES.index(name)) for name in ("y", "vy"))
         kf.x[self.y] = y_hat
         kf.Q[self.y, self.y], kf.Q[vy, vy] = p.process_variance_x, p.process_variance_vx  # as along the craft's axis
         kf.H[0, self.y], kf.H[0, vy] = 1.0, -p.fix_latency
@@ -193,7 +193,7 @@ class HoverFilter(LinearFilter):
     @property
     def predicted(self) -> Matrix:
         """Return the states of a prediction as deviations from hover."""
-        z = np.zeros(len(NAMES))
+        z = np.zeros(len(PREDICTED_STATES))
         z[OBSERVED], z[FILTERED] = self.observer.x, self.filter.x[: len(FILTERED)]
         return z
 
@@ -345,7 +345,7 @@ class ExtendedFilter(Estimator):
     def estimate(self) -> Floats:
         x = dict(zip(PLANT_STATES, self.filter.x.tolist(), strict=True))
         ax = float(self.sensed(self.filter.x)[2])
-        return *(x[name] for name in ESTIMATED), ax + self.damping * x["vx"], x["y"]
+        return *(x[name] for name in ESTIMATED_STATES), ax + self.damping * x["vx"], x["y"]
 
     @property
     def variances(self) -> Floats:

@@ -16,8 +16,9 @@ Floats = tuple[float, ...]
 Numbers = Sequence[float]
 ESTIMATORS, DOUBLE_INTEGRATION = ("appendix_f", "lagged", "consistent"), "double_integration"
 SENSED = ("psi", "psi_dot", "ax")
+SIDES = ("right", "left")
 GAINS = tuple(f"k_{i}_{j}" for i in (1, 2) for j in range(1, 6))  # K, row by row
-CRAFT = {p.name: p for p in parameters_of(Hovercraft)}
+CRAFT_PARAMETERS = {p.name: p for p in parameters_of(Hovercraft)}
 DESIGN = "design model: "  # beginning of meanings
 
 # Eq 6.5 with all digits: LQR gain of eqs 5.33/5.34 with the weights of eq 6.4. A test repeats the design.
@@ -37,7 +38,7 @@ def gain(default: float, tilt: str, state: str, source: str = ", eq 6.5") -> Any
 
 def of_craft(name: str, about: str = "") -> Any:
     """Declare a parameter of the craft for a controller; `about` precedes its meaning."""
-    p = CRAFT[name]
+    p = CRAFT_PARAMETERS[name]
     return bounded(p.default, p.unit, p.bounds, about + p.doc)
 
 
@@ -312,7 +313,7 @@ class TimeVariantSettings(PredictionSettings, ExtendedSettings):
         return []
 
 
-OF_CRAFT = tuple(p.name for p in parameters_of(TimeVariantSettings) if p.name in CRAFT)
+OF_CRAFT = tuple(p.name for p in parameters_of(TimeVariantSettings) if p.name in CRAFT_PARAMETERS)
 
 
 def craft_of(p: Any) -> Hovercraft:

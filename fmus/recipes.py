@@ -12,7 +12,7 @@ from cosim.core.registry import resolve
 from cosim.fmi.fmu_build import Recipe, about_model
 from cosim.fmi.model_description import Description, docstrings_html, model_text
 from cosim.model import Model
-from fmus import PACKAGES
+from fmus import FMU_PACKAGES
 
 # A second plant for scenarios/swap.yaml: a heavier craft whose servos overshoot (observed in §4.5.4).
 HEAVY = {
@@ -48,7 +48,7 @@ def _model(
 ) -> Recipe:
     description = about_model(model.with_values(values or {}), about)
     whole = f"<p>{text}</p>{model_text(model)}{docstrings_html(*modules)}"
-    return Recipe(slave, PACKAGES, description, whole, tuple(sorted((values or {}).items())))
+    return Recipe(slave, FMU_PACKAGES, description, whole, tuple(sorted((values or {}).items())))
 
 
 heavy_recipe = partial(plant_recipe, HEAVY)
@@ -66,7 +66,7 @@ def _sampled(slave: str, about: str, *documented: str, printed: bool = False) ->
         about, kind.ports, at_sample, at_start, step=step, stop=10.0, variable_step=False, sampled="sample_time"
     )
     parts = (resolve(f"controller.{name}") for name in documented)
-    recipe = Recipe((kind.__module__, kind.__name__), PACKAGES, description, docstrings_html(*parts, kind))
+    recipe = Recipe((kind.__module__, kind.__name__), FMU_PACKAGES, description, docstrings_html(*parts, kind))
     return replace(recipe, printed=(("controller.printed", jacobians()),)) if printed else recipe
 
 

@@ -31,7 +31,7 @@ from cosim.ssp.write import SspConnector, SspFmu, Value, Whole, defined_units, w
 from cosim.system.system import System, build_system
 
 IDENTITY = (1.0, 0.0)  # factor and offset
-TYPES = ("Real", "Integer", "Boolean")  # types connected by all importing tools
+PORTABLE_TYPES = ("Real", "Integer", "Boolean")  # types connected by all importing tools
 
 
 @dataclass(frozen=True)
@@ -153,8 +153,8 @@ def _faults(file: ScenarioFile, system: System) -> Iterator[Fault]:
         kinds = [signal.kind for signal in ends if signal is not None]
         if None in ends:
             yield file.fault(("connections", k), "SSP 1.0 cannot connect arrays; connect their elements")
-        elif not {*kinds} <= {"", *TYPES} or len({*kinds} - {""}) > 1:
-            text = f"connects {' to '.join(kinds)}; importers connect equal types, of {', '.join(TYPES)}"
+        elif not {*kinds} <= {"", *PORTABLE_TYPES} or len({*kinds} - {""}) > 1:
+            text = f"connects {' to '.join(kinds)}; importers connect equal types, of {', '.join(PORTABLE_TYPES)}"
             yield file.fault(("connections", k), text)
 
 
@@ -167,7 +167,11 @@ def _model(file: ScenarioFile, name: str, system: System) -> SspFmu:
     assert isinstance(block, FmuBlock)
     targets = {c.target for c in file.scenario.connections}
     ports = [SspConnector(s.name, "input", s.kind, s.unit) for s in block.inputs if f"{name}.{s.name}" in targets]
-    ports += [SspConnector(s.name, "output", s.kind, s.unit) for s in block.outputs if s.kind in TYPES and not s.local]
+    ports += [
+        SspConnector(s.name, "output", s.kind, s.unit)
+        for s in block.outputs
+        if s.kind in PORTABLE_TYPES and not s.local
+    ]
     variables = {v.name: v for v in block.description.modelVariables}
     start: dict[str, tuple[str, Value]] = {}
     for n, value in block.start_values.items():

@@ -17,8 +17,8 @@ from cosim.core.errors import FmuError
 from cosim.fmi.description import CPP, C, library_file
 from cosim.fmi.native.compiler import CompilerFailed, NoCompiler, fmi_headers, library_command, library_of
 
-SOURCES = "sources"
-LIMIT = 300.0  # time limit [s] of the compiler per FMU
+SOURCES_FOLDER = "sources"
+FMU_COMPILE_LIMIT_S = 300.0  # time limit [s] of the compiler per FMU
 MAX_LINES, MAX_WIDTH = 20, 200  # excerpt of the compiler output: lines, characters per line
 OPTIMIZED = ("-O3", "-DNDEBUG", "-w")
 PLAIN_NAMES = ("-DFMI2_OVERRIDE_FUNCTION_PREFIX", "-DFMI3_OVERRIDE_FUNCTION_PREFIX")  # names as in a shared library
@@ -57,7 +57,7 @@ def compile_library(folder: Path, description: Any, identifier: str) -> Path:
     Raises:
         FmuError: The sources are incomplete or do not compile.
     """
-    root = folder / SOURCES
+    root = folder / SOURCES_FOLDER
     try:
         names, options, includes = _declared_sources(root, description, identifier)
         for name in (*names, *includes):
@@ -73,14 +73,14 @@ def compile_library(folder: Path, description: Any, identifier: str) -> Path:
                 f"its sources cannot be compiled: it lists {', '.join(missing)}, which is not there; export it again "
                 "with all its sources"
             )
-        folders = (SOURCES, *(f"{SOURCES}/{name}" for name in includes), fmi_headers())
-        *first, last = (f"{SOURCES}/{name}" for name in names)
+        folders = (SOURCES_FOLDER, *(f"{SOURCES_FOLDER}/{name}" for name in includes), fmi_headers())
+        *first, last = (f"{SOURCES_FOLDER}/{name}" for name in names)
         command = [*library_command(), *OPTIMIZED, *PLAIN_NAMES, *options, *(f"-I{part}" for part in folders), *first]
         libraries = ["-lm", *(["-lstdc++"] if any(name.lower().endswith(CPP) for name in names) else [])]
         entry = ENTRY[description.fmiVersion[0]].format(identifier=identifier)
         paths = sorted(path for path in root.rglob("*") if path.is_file())
         files = {path.relative_to(folder).as_posix(): path.read_bytes() for path in paths}
-        binary = library_of(files, last, command, [entry], libraries=libraries, limit=LIMIT).read_bytes()
+        binary = library_of(files, last, command, [entry], libraries=libraries, limit=FMU_COMPILE_LIMIT_S).read_bytes()
     except NoCompiler as error:
         raise FmuError(f"its sources cannot be compiled: {error}") from None
     except CompilerFailed as error:

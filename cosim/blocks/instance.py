@@ -32,7 +32,7 @@ from cosim.core.scratch import process_folder
 from cosim.files.archive import unpack
 from cosim.fmi.description import (
     C_CODE,
-    PARTS,
+    INTERFACE_ATTRIBUTES,
     Way,
     library_of,
     no_library,
@@ -46,7 +46,7 @@ LAST_SUCCESSFUL, TERMINATED = 2, 3  # fmi2StatusKind
 BOOLEAN, DOUBLE = ctypes.c_bool, ctypes.c_double
 SIZE, REFERENCE, INT = ctypes.c_size_t, ctypes.c_void_p, ctypes.c_int
 MOVED = REFERENCE, REFERENCE, SIZE, REFERENCE, SIZE  # arguments that set or get values; the last one is of FMI 3.0
-STEPS = {
+DO_STEP_TYPES = {
     1: ctypes.CFUNCTYPE(INT, REFERENCE, DOUBLE, DOUBLE, ctypes.c_byte),
     2: ctypes.CFUNCTYPE(INT, REFERENCE, DOUBLE, DOUBLE, INT),
     3: ctypes.CFUNCTYPE(INT, REFERENCE, DOUBLE, DOUBLE, BOOLEAN, *[REFERENCE] * 4),
@@ -191,7 +191,7 @@ class Instance:
         self.name, self.path, self.description = name, path, description
         self.version = int(description.fmiVersion[0])
         self.prefix = "fmi" if self.version == 1 else f"fmi{self.version}"
-        self.about = getattr(description, PARTS[self.way])
+        self.about = getattr(description, INTERFACE_ATTRIBUTES[self.way])
         self.is_event, self.ends, self.is_early, self.last = BOOLEAN(), BOOLEAN(), BOOLEAN(), DOUBLE()
         self.flags = tuple(ctypes.byref(cell) for cell in (self.is_event, self.ends, self.is_early, self.last))
         self.by_pythonfmu = "pythonfmu" in (description.generationTool or "").lower()
@@ -362,7 +362,7 @@ class Instance:
 
     def step_function(self) -> Any:
         """Return the library's function for a step."""
-        return self.bare(STEPS[self.version], "DoStep")
+        return self.bare(DO_STEP_TYPES[self.version], "DoStep")
 
     def stepping(self) -> Step:
         """Return a function of (component, t, h, flag) → status."""

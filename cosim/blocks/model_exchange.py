@@ -19,6 +19,7 @@ from cosim.blocks.instance import Instance, Step, end_of
 from cosim.blocks.solvers import DOUBLES, Solver, SolverFailed, derivatives_of, numbers, solver
 from cosim.core.arrays import Array
 from cosim.core.errors import SimulationError
+from cosim.core.times import TIME_TOLERANCE_SHARE, TIME_TOLERANCE_ULPS
 from cosim.fmi.description import Way
 
 EVENTS_NOT_SEPARATED = (
@@ -27,13 +28,11 @@ EVENTS_NOT_SEPARATED = (
     "rests. A smaller tolerance separates more events; an end of the run before this time avoids them"
 )
 
-TOLERANCE = 1e-5  # relative tolerance by default, as in FMPy
-LONGEST = 50  # largest solver step as a fraction 1/50 of the whole time, as in FMPy
+DEFAULT_TOLERANCE = 1e-5  # relative tolerance by default, as in FMPy
+MIN_SOLVER_STEPS = 50  # largest solver step as a fraction 1/50 of the whole time, as in FMPy
 MOST_EVENTS = 1000  # discrete updates at a time, or immediately consecutive events
 AT_ONCE = 1e-6  # fraction of a communication step; MOST_EVENTS within it is chattering
-CLOSE = 1e-9  # fraction of a communication step below which times are equal
 NO_VARIABLE = 2**32 - 1  # FMI 1.0's value reference of a state without variable
-ULPS = 4  # multiples of the spacing of doubles, too short for CVODE
 SEPARABLE = 10_000  # multiples of the spacing of doubles between two events; CVODE locates each within 100
 SHORTENED = 0.25  # share of a solver step that is tried if it does not separate two events
 EVER_FASTER = 4  # spans between crossings of an indicator that are each shorter than the one before
@@ -98,8 +97,8 @@ class ModelExchange(Instance):
             states=self._states,
             indicators=self._indicator_count,
             start=self.start_time,
-            longest=self.longest or (self.stop_time - self.start_time) / LONGEST,
-            tolerance=TOLERANCE if self.tolerance is None else self.tolerance,
+            longest=self.longest or (self.stop_time - self.start_time) / MIN_SOLVER_STEPS,
+            tolerance=DEFAULT_TOLERANCE if self.tolerance is None else self.tolerance,
             single_steps=self.needs_completed_steps,
             max_steps=self.max_steps,
         )
@@ -126,7 +125,11 @@ class ModelExchange(Instance):
 
     def inputs_changed(self, take: Callable[[], None] | None) -> None:
         if take is None:  # An event at the end of the step is handled without them, unless a change is due.
-            if self.cause and not self.stops_at_events and not self._is_changed_at(self.reached, CLOSE * self._length):
+            if (
+                self.cause
+                and not self.stops_at_events
+                and not self._is_changed_at(self.reached, TIME_TOLERANCE_SHARE * self._length)
+            ):
                 self.handle_event(self._length)
             return
         if not self._started:
@@ -165,8 +168,8 @@ class ModelExchange(Instance):
         if self.cause and not self.stops_at_events:  # Nothing has changed at the last step's end.
             self.handle_event(h)
         spacing = math.ulp(max(abs(t), abs(end), end - self.start_time))
-        close = ULPS * spacing + CLOSE * h
-        if h <= 2 * ULPS * spacing:
+        close = TIME_TOLERANCE_ULPS * spacing + TIME_TOLERANCE_SHARE * h
+        if h <= 2 * TIME_TOLERANCE_ULPS * spacing:
             raise SimulationError(
                 self.name, t, f"a step of {h:.3g} s is too short at this time: doubles are {spacing:.2g} s apart there"
             )
@@ -176,7 +179,7 @@ class ModelExchange(Instance):
             target = end
             if event is not None and at_event:  # An event within rounding of the target is not missed.
                 target = event if event < end - close else max(event, end)
-            state_event, step_event = self._integrate(target, ULPS * spacing)
+            state_event, step_event = self._integrate(target, TIME_TOLERANCE_ULPS * spacing)
             if state_event or step_event or at_event:
                 self.cause = (
                     "state" if state_event else "step" if self.reached < target else "time" if at_event else "step"

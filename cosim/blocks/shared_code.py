@@ -26,12 +26,12 @@ from cosim.core.errors import FmuError
 from cosim.core.messages import CheckNote, CheckWarning
 from cosim.files.archive import DAMAGES, DESCRIPTION
 
-HEAD = b"\x7fELF\x02\x01"
+ELF_MAGIC = b"\x7fELF\x02\x01"
 DYNAMIC, DYNAMIC_SYMBOLS = 6, 11  # types of sections
 NEEDED, SONAME = 1, 14  # tags of the dynamic section
 UNIQUE, EXPORTED = 10, (1, 2, 10)  # bindings of symbols: global, weak, unique
 VISIBLE = (0, 3)  # default, protected
-SYMBOL = np.dtype(
+ELF_SYMBOL = np.dtype(
     [("name", "<u4"), ("info", "u1"), ("other", "u1"), ("section", "<u2"), ("value", "<u8"), ("size", "<u8")]
 )
 
@@ -55,7 +55,7 @@ class ElfLibrary:
 
 def read_elf(content: bytes, *, symbols: bool = True) -> ElfLibrary:
     """Return the names of a library, if asked with its symbols; none for another kind of file and a damaged one."""
-    if content.startswith(HEAD):
+    if content.startswith(ELF_MAGIC):
         with suppress(struct.error, ValueError, IndexError, OverflowError):
             return _read(content, symbols)
     return ElfLibrary()
@@ -80,7 +80,7 @@ def _read(content: bytes, with_symbols: bool) -> ElfLibrary:
                     elf.soname = text(strings + value)
         elif kind == DYNAMIC_SYMBOLS and with_symbols:
             strings = sections[link][4]
-            symbols = np.frombuffer(content, SYMBOL, length // SYMBOL.itemsize, offset)
+            symbols = np.frombuffer(content, ELF_SYMBOL, length // ELF_SYMBOL.itemsize, offset)
             binding, is_visible = symbols["info"] >> 4, np.isin(symbols["other"] & 3, VISIBLE)
             is_defined = (symbols["section"] != 0) & (symbols["size"] > 0) & is_visible & np.isin(binding, EXPORTED)
             elf.defined |= {text(strings + name) for name in symbols["name"][is_defined].tolist()}
@@ -100,7 +100,7 @@ CODE = (".py", ".pyc", ".pyd", ".so")
 NAME_OF_SLAVE = "slavemodule.txt"  # of pythonfmu, no data of a module
 OF_STD = re.compile(r"_Z(G[VR]|T[ISVT])?[ZNK]*S[tabsiod]")  # symbols of the C++ library, equal in all of its builds
 OF_SYSTEM = re.compile(r"(lib(c|m|dl|pthread|rt|gcc_s|stdc\+\+|atomic)|ld-linux[\w-]*)\.so")  # without data of FMUs
-VERSION = ("fmi2GetVersion", "fmi3GetVersion", "fmiGetVersion")  # which the library of an FMU exports
+VERSION_FUNCTIONS = ("fmi2GetVersion", "fmi3GetVersion", "fmiGetVersion")  # which the library of an FMU exports
 ALLOCATORS = {"malloc", "calloc", "realloc", "free"}
 
 
@@ -150,7 +150,7 @@ def _code_of(path: Path, _changed: int, _size: int) -> Code:
     with zipfile.ZipFile(path) as archive:
         files = [info for info in archive.infolist() if not info.is_dir()]
         own = {name.decode() for name in IDENTIFIER.findall(archive.read(DESCRIPTION))}
-        versions = {*VERSION, *(f"{identifier}_fmiGetVersion" for identifier in own)}
+        versions = {*VERSION_FUNCTIONS, *(f"{identifier}_fmiGetVersion" for identifier in own)}
         for info in files:
             folder = PLATFORM.findall(info.filename)
             is_of_here = not folder or any(word in folder[-1] for word in WORDS)

@@ -25,7 +25,7 @@ DISCARD = 2
 DOUBLES = ctypes.POINTER(ctypes.c_double)
 Solver = Literal["cvode", "solve_ivp"]
 REFUSALS = 10  # discarded derivatives that explain a stuck solver
-MAX_STEPS = 500  # of CVODE between communication points and events, as in FMPy
+MAX_CVODE_STEPS = 500  # of CVODE between communication points and events, as in FMPy
 NORMAL, TOO_MUCH_WORK, ROOT_RETURN = 1, -1, 2  # task and return values of CVODE
 FAILURES = {  # CVODE's error codes with remedies
     -2: "CVODE cannot reach the tolerance, as doubles are not that exact; loosen it",
@@ -148,7 +148,7 @@ def cvode(
     from fmpy.sundials.nvector_serial import _N_VectorContent_Serial
 
     compiled = CompiledRates.of(fmu, states, _N_VectorContent_Serial.data.offset, start, symbol)
-    most = MAX_STEPS if max_steps is None else max_steps
+    most = MAX_CVODE_STEPS if max_steps is None else max_steps
 
     class Guarded(CVodeSolver):  # type: ignore[misc]
         is_first, goal, steps = True, math.nan, 0  # first step after a reset; last target, single steps towards it

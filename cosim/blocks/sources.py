@@ -25,7 +25,7 @@ from cosim.core.units import computed_in
 from cosim.files.table import Table, read_columns, source_of
 
 TEXTS = {"String", "Binary"}
-WHOLE = re.compile(r"[-+]?\d+")
+INTEGER_PATTERN = re.compile(r"[-+]?\d+")
 
 
 class SourceBlock(Component):
@@ -178,7 +178,7 @@ def read_recording(
 
 def _whole_number(value: Any) -> int:
     """Return an exact whole number; raise ValueError for anything else."""
-    if isinstance(value, int) or (isinstance(value, str) and WHOLE.fullmatch(value.strip())):
+    if isinstance(value, int) or (isinstance(value, str) and INTEGER_PATTERN.fullmatch(value.strip())):
         return int(value)
     if not (number := float(value)).is_integer():
         raise ValueError

@@ -23,7 +23,7 @@ DRIFTS = 5.0  # ratio of errors, free runs to windows, after the fit, above whic
 STAYS = 0.2
 GROWS = 1e3  # effect of a start value in the last quarter relative to the first, above which the plant is unstable
 REFINEMENTS = 3  # number of times that central differences may move the estimate
-CLOSE = 0.05  # gain in log-likelihood of a third of a standard error, below which slopes are not recomputed
+NEGLIGIBLE_GAIN = 0.05  # gain in log-likelihood of a third of a standard error, below which slopes are not recomputed
 ABOVE = 1.5  # standard deviation of a residual relative to its white part, above which the model is incomplete
 COLOURED = 2.0  # variance of the mean of a residual relative to white noise, above which it is not white
 NAMED_REASONS = 3
@@ -149,7 +149,7 @@ class Estimate:
         for number in range(REFINEMENTS):
             before = likelihood.best.cost
             self.settled = likelihood.maximize(lambda k: self.report(f"fitting, iteration {k + 1}", 0.0))
-            if number and before - likelihood.best.cost < CLOSE:
+            if number and before - likelihood.best.cost < NEGLIGIBLE_GAIN:
                 break
             self.report("measuring sensitivities", 0.0)
             likelihood.slopes = likelihood.measure_slopes(central=True)

@@ -24,11 +24,11 @@ from cosim.residuals.drive import Drive, as_columns
 from cosim.residuals.windows import first_start, free_run, self_started, sigma_of, start_parameters
 
 SMALLEST = 1e-8  # minimum standard deviation of a residual, relative to that of its channel
-STEP = 1e-2  # step of differences, relative to the scale of an unknown, above the rounding of solvers
-ITERATIONS = 40
+UNKNOWN_STEP = 1e-2  # step of differences, relative to the scale of an unknown, above the rounding of solvers
+MAX_EVALUATIONS = 40
 # gain of a step in log-likelihood, corresponding to one standard error, after which the next step is negligible
-SETTLED = 0.5
-SHORTEST = 1e-4  # step size without expected gain, relative to the size of the unknowns
+SETTLED_GAIN = 0.5
+MIN_RELATIVE_STEP = 1e-4  # step size without expected gain, relative to the size of the unknowns
 Jacobian = list[Array]  # per log: array (rows, channels, unknowns); NaN where the residual is NaN
 
 
@@ -206,7 +206,7 @@ class Likelihood:
 
     def _slope(self, j: int, k: int, *, central: bool) -> Array | None:
         """Return the slope of log k's residuals by unknown j; None if the FMU fails on both sides."""
-        size, sides = STEP * self.scales[j], []
+        size, sides = UNKNOWN_STEP * self.scales[j], []
         for side in (size, -size):
             moved = self.best.x.copy()
             moved[j] += side
@@ -245,7 +245,7 @@ class Likelihood:
         def slopes(x: Array) -> Array:
             nonlocal before, latest
             report(next(iterations))
-            if before.cost - self.best.cost > SETTLED:
+            if before.cost - self.best.cost > SETTLED_GAIN:
                 latest = self.measure_slopes()
             before = self.best
             tables = [np.nan_to_num(slope / begin.sigma[:, None]).reshape(-1, x.size) for slope in latest]
@@ -262,6 +262,12 @@ class Likelihood:
         size = max(1.0, -0.5 * float(begin.counts @ np.log(least)))
         found = least_squares(
             *(misses, np.zeros(begin.x.size), slopes, (low, high), "dogbox"),
-            **{"loss": loss, "ftol": SETTLED / size, "xtol": SHORTEST, "gtol": None, "max_nfev": ITERATIONS},
+            **{
+                "loss": loss,
+                "ftol": SETTLED_GAIN / size,
+                "xtol": MIN_RELATIVE_STEP,
+                "gtol": None,
+                "max_nfev": MAX_EVALUATIONS,
+            },
         )
         return bool(found.status > 0)

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cosim.comparison.differences import (
-    MAX_LISTED,
+    MAX_LISTED_SIGNALS,
     Compared,
     Difference,
     compare_runs,
@@ -45,8 +45,8 @@ if TYPE_CHECKING:
 MAX_RUNS, MAX_SIGNALS, MAX_CURVES = 12, 24, 144  # largest number of drawn runs
 MAX_DRAWN = 4  # signals in a figure by default
 MOST_IN_MEMORY = 4  # number of runs above which drawn runs are read twice, to save memory
-NOTHING = Results(np.zeros(0), (), np.zeros((0, 0)))
-FILES = ("comparison.json", "report.html")
+NO_RESULTS = Results(np.zeros(0), (), np.zeros((0, 0)))
+COMPARISON_FILES = ("comparison.json", "report.html")
 NO_VERDICT: Mapping[str, Any] = {"within": None, "reasons": None, "shorter": None, "only_a": [], "only_b": []}
 LONGEST_NAME, NUMBERED = 80, "run "  # characters of the name of a folder; the beginning of the name of a numbered run
 
@@ -193,8 +193,8 @@ class ComparedRuns:
 
     def __repr__(self) -> str:
         rows = self.cells[1:]
-        more = [f"… and {len(rows) - MAX_LISTED} more"] if len(rows) > MAX_LISTED else []
-        return "\n  ".join([self.summary, *("  ".join(row) for row in rows[:MAX_LISTED]), *more])
+        more = [f"… and {len(rows) - MAX_LISTED_SIGNALS} more"] if len(rows) > MAX_LISTED_SIGNALS else []
+        return "\n  ".join([self.summary, *("  ".join(row) for row in rows[:MAX_LISTED_SIGNALS]), *more])
 
     def _repr_html_(self) -> str:
         from cosim.comparison.page import panels_of
@@ -207,7 +207,7 @@ class ComparedRuns:
         panels = [p for name, curves in drawn.items() for p in panels_of(self, name, [v[rows] for v in curves])]
         omitted = len(cells) - len(drawn)
         chart = cell_of(self.time[rows], panels, self.summary, rows=len(self.time), omitted=omitted)
-        return heading(self.summary) + table(heads, cells[:MAX_LISTED], len(cells) - MAX_LISTED) + chart
+        return heading(self.summary) + table(heads, cells[:MAX_LISTED_SIGNALS], len(cells) - MAX_LISTED_SIGNALS) + chart
 
     def plot(self, *names: str) -> Figure:
         """Return a matplotlib figure of signals in all runs, by default the signals that differ most.
@@ -296,10 +296,10 @@ def compare_several(
         except InputError as error:
             (left_out if source.is_optional else faults).extend(error.faults)
             continue
-        comparisons[k] = replace(found, b=replace(found.b, results=NOTHING), values={}, time=NOTHING.time)
+        comparisons[k] = replace(found, b=replace(found.b, results=NO_RESULTS), values={}, time=NO_RESULTS.time)
     refuse(faults or ([] if comparisons else left_out))
     kept = sorted([baseline, *comparisons])
-    bare = [replace(base, results=NOTHING) if k == baseline else comparisons[k].b for k in kept]
+    bare = [replace(base, results=NO_RESULTS) if k == baseline else comparisons[k].b for k in kept]
     place, names = kept.index(baseline), [sources[k].short for k in kept]
     shorts = [  # shorten to `run 3`, or `tank` and `tank #2`
         f"{name} #{names[: k + 1].count(name)}" if name in names[:k] else name for k, name in enumerate(names)
@@ -450,7 +450,7 @@ def compare(
     if len(name) > LONGEST_NAME:
         name = f"{shorts[0]} and {len(shorts) - 1} others"
     with new_run(folder, name, "cosim compare", force=force) as out:
-        check_writable(out, FILES, paths)
+        check_writable(out, COMPARISON_FILES, paths)
         remove_earlier(out, read=paths)
         write_json(out / "comparison.json", comparison.as_json())
         if report:

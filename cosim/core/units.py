@@ -59,9 +59,9 @@ ONE_WAY = str.maketrans(
     dict(zip("⁰¹²³⁴⁵⁶⁷⁸⁹⁻\u2126\u03bc", "0123456789-\u03a9\u00b5", strict=True)) | {"℃": "°C", "℉": "°F"}
 )
 TOKEN = re.compile(r"(1|%|°[CF]?|[A-Za-zµΩ]+)(?:\^?(-?\d))?")
-NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
+NUMBER_PATTERN = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 # A unit that begins with a digit (1/min) needs a blank before it.
-QUANTITY = re.compile(rf"({NUMBER})(?:\s*(?=[^\s\d.])|\s+)(\S.*)")
+QUANTITY = re.compile(rf"({NUMBER_PATTERN})(?:\s*(?=[^\s\d.])|\s+)(\S.*)")
 PER_TIME, ROTATION = {"s": -1}, {"rad": 1, "s": -1}  # `1/min` of a speed of rotation counts turns, as rpm does
 NO_DEFINITIONS: Mapping[str, Sequence[float]] = MappingProxyType({})
 AMBIGUOUS = "may be gram or standard gravity", "; write kg, or m/s2"  # of g
@@ -182,7 +182,7 @@ def split_quantity(text: str) -> tuple[float, str] | None:
     The unit of a number alone is ""; the result is None for text without a number.
     """
     whole = text.strip()
-    if re.fullmatch(NUMBER, whole):
+    if re.fullmatch(NUMBER_PATTERN, whole):
         return float(whole), ""
     match = QUANTITY.fullmatch(whole)
     return None if match is None else (float(match[1]), match[2].strip())

@@ -22,7 +22,7 @@ from cosim.estimation.problem import Noise, Problem, Scored
 from cosim.estimation.subject.candidates import Free, own, spread
 from cosim.logs.log import NORMAL_95
 
-ITERATIONS = 30
+MAX_ITERATIONS = 30
 CONVERGED = 0.1  # NLL improvement of the last iteration; an evidence needs no exact optimum
 DIFFERENCE = 0.01  # share of a parameter's size for differences; noise levels, in logarithms, need more
 NOISE_DIFFERENCE = 5.0 * DIFFERENCE
@@ -112,7 +112,7 @@ def fit(
     start: NamedValues,
     noise: Noise,
     only: Sequence[int] | None = None,
-    iterations: int = ITERATIONS,
+    iterations: int = MAX_ITERATIONS,
     *,
     goal: float = np.inf,
     sensing: bool = True,

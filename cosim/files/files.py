@@ -26,7 +26,7 @@ from cosim.core.settings import FilePath as FilePath
 NOT_BLANK = "give a name, or . for the current folder"
 STOPPING = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
 MOST_HOLES, SMALL = 1000, 1 << 26  # size per stored byte above which a file is sparse; [bytes] always read
-READING = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)  # pipes are not waited for
+READ_FLAGS = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)  # pipes are not waited for
 
 
 def open_regular(path: Path) -> int:
@@ -36,7 +36,7 @@ def open_regular(path: Path) -> int:
         OSError: The file is unreadable, a pipe or device (which may block or never end), or consists almost only of
             holes.
     """
-    descriptor = os.open(path, READING)
+    descriptor = os.open(path, READ_FLAGS)
     status = os.fstat(descriptor)
     is_regular, stored = stat.S_ISREG(status.st_mode), 512 * getattr(status, "st_blocks", status.st_size)
     if is_regular and status.st_size <= MOST_HOLES * stored + SMALL:

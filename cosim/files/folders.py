@@ -33,7 +33,7 @@ ELSEWHERE = "running or interrupted"  # on another machine, whose processes are 
 REPLAY = "replay.json"  # stored with the rows of a replay
 SAME_BEGINNING = 5.0  # [s] by which the clock of the system may have been set since a process began
 SCHEMA_VERSION = 1  # of manifest.json, replay.json and sweep.json
-MOST_BYTES = 200_000_000  # size of a JSON or YAML file [bytes]
+MAX_RECORD_BYTES = 200_000_000  # size of a JSON or YAML file [bytes]
 
 
 # -- names ----------------------------------------------------------------------------------------
@@ -233,7 +233,7 @@ def content_of(path: Path) -> dict[str, Any]:
         stream = open_regular(path)  # faster than a file of Python, which `cosim list` notices
         try:
             size = os.fstat(stream).st_size
-            content = parse_json(os.read(stream, size) if size <= MOST_BYTES else b"")
+            content = parse_json(os.read(stream, size) if size <= MAX_RECORD_BYTES else b"")
         finally:
             os.close(stream)
     except (OSError, ValueError, RecursionError):
@@ -271,14 +271,14 @@ def results_in(out: FilePath | None, verb: str, name: str, *, force: bool = Fals
 # -- types of the values in records ---------------------------------------------------------------
 
 EACH = "*"  # key of a type of mappings, for all their values
-NUMBER = (int, float, NoneType)
+NUMBER_TYPES = (int, float, NoneType)
 # A type is a class or several, a list with the type of each element, or a mapping from keys, which may be absent
-CRITERION = {"kind": str, "of": str, "met": bool, "value": NUMBER, "max": NUMBER}
-COMMON: Mapping[str, Any] = {
+CRITERION = {"kind": str, "of": str, "met": bool, "value": NUMBER_TYPES, "max": NUMBER_TYPES}
+COMMON_KEY_TYPES: Mapping[str, Any] = {
     **dict.fromkeys(("cosim_version", "version", "command", "status", "verdict", "sentence"), str),
     "schema_version": int,
 }
-TYPES: Mapping[str, Mapping[str, Any]] = {
+FILE_KEY_TYPES: Mapping[str, Mapping[str, Any]] = {
     "manifest.json": {
         **dict.fromkeys(("source", "loop", "no_report"), str),
         **{key: [str] for key in ("order", "beside", "discrete", "texts", "warnings")},
@@ -288,7 +288,7 @@ TYPES: Mapping[str, Mapping[str, Any]] = {
         "criteria": [CRITERION],
         "units": {EACH: str},
         "display": {EACH: list},
-        "unit_definitions": {EACH: [NUMBER]},
+        "unit_definitions": {EACH: [NUMBER_TYPES]},
         "fmus": {EACH: dict},
     },
     "replay.json": {"log": str, "fmu": str, "units": {EACH: str}, "display": {EACH: list}, "start": dict},
@@ -309,7 +309,7 @@ def has_type(value: Any, kind: Any) -> bool:
 
 def sound_part(file: Path, record: Mapping[str, Any]) -> tuple[dict[str, Any], tuple[str, ...]]:
     """Return a record without the keys whose values have a wrong type, and a warning for each."""
-    kinds = {**COMMON, **TYPES.get(file.name, {})}
+    kinds = {**COMMON_KEY_TYPES, **FILE_KEY_TYPES.get(file.name, {})}
     wrong = [key for key, kind in kinds.items() if key in record and not has_type(record[key], kind)]
     cure = "has a value of a wrong type and is not used: run it again, or correct the file"
     return {k: v for k, v in record.items() if k not in wrong}, tuple(f"{file}: {key} {cure}" for key in wrong)

@@ -28,7 +28,7 @@ from cosim.files.table import (
     time_scale,
 )
 
-EXACT = 2**53  # integers below this size are exact as doubles
+EXACT_INTEGER_LIMIT = 2**53  # integers below this size are exact as doubles
 INTEGER = re.compile(r"0|-?[1-9]\d{0,19}")
 
 
@@ -104,7 +104,7 @@ class Results:
 
 def is_rounded(values: Any) -> bool:
     """Return True if integers, perhaps stored as doubles, are too large for exact doubles."""
-    return bool(values.size) and bool(values.max() >= EXACT or values.min() <= -EXACT)
+    return bool(values.size) and bool(values.max() >= EXACT_INTEGER_LIMIT or values.min() <= -EXACT_INTEGER_LIMIT)
 
 
 # -- reading results ------------------------------------------------------------------------------------

@@ -38,11 +38,11 @@ from cosim.files.run_inputs import changes_between, input_leaves, input_text, sh
 
 OUTCOMES = ("verdict", "status", "sentence")  # keys of a record that may contain the outcome
 UNFINISHED, DAMAGED, ROWS_ONLY = "unfinished", "damaged record", "rows without a record"
-NO_ROWS = "rows are gone"
+ROWS_GONE = "rows are gone"
 MOST_CHANGES = 3  # in a text
 DAY = 86_400.0  # [s]
-DEEPEST = 6  # levels of folders below the folder of results: results/a/b/c/d/runs/0001
-NUMBERS = ".run-numbers"  # line k has the name of the results with the number k; lines are only added
+MAX_FOLDER_DEPTH = 6  # levels of folders below the folder of results: results/a/b/c/d/runs/0001
+RUN_NUMBERS_FILE = ".run-numbers"  # line k has the name of the results with the number k; lines are only added
 
 
 @dataclass(frozen=True)
@@ -141,7 +141,7 @@ def entries(results: Path | None = None) -> list[Entry]:
     known = _numbered_lines(root)
     if new := [line for line in lines if line not in known]:  # They get the next numbers, in their order.
         with suppress(OSError):  # Commands that add lines at the same time agree: the first line of a name counts.
-            with (root / NUMBERS).open("a", encoding="utf-8", errors="surrogateescape") as stream:
+            with (root / RUN_NUMBERS_FILE).open("a", encoding="utf-8", errors="surrogateescape") as stream:
                 stream.write("".join(f"{line}\n" for line in new))
             known = _numbered_lines(root)
         for line in new:  # the file cannot be written
@@ -165,7 +165,7 @@ def _results_within(place: Path, name: Path, depth: int) -> Iterator[tuple[Entry
     if found is not None:
         yield found
         parts = {"figures", *(folder for a in artefacts() if a.verb for folder in a.folders)}
-    for inner, item in sorted(items.items() if depth < DEEPEST else ()):
+    for inner, item in sorted(items.items() if depth < MAX_FOLDER_DEPTH else ()):
         if inner not in parts and not inner.startswith(".") and item.is_dir(follow_symlinks=False):
             is_run = depth == 0 and RUN_NUMBER.fullmatch(inner)
             yield from _results_within(place / inner, name / inner if depth or is_run else Path(inner), depth + 1)
@@ -188,7 +188,7 @@ def _recorded(place: Path, name: Path, items: Mapping[str, os.DirEntry[str]]) ->
         if not outcome and artefact is not None and mark in artefact.unfinished:
             outcome = UNFINISHED
         elif not outcome and artefact is not None and artefact.tables and content.get("rows") and not has_rows:
-            outcome = NO_ROWS
+            outcome = ROWS_GONE
         outcome = outcome or _outcome(content) or (DAMAGED if warnings or not read else "")
         if "no_report" in content and "report.html" not in items:
             outcome += f", no report: {content['no_report']}"
@@ -246,7 +246,7 @@ def _judged(content: Mapping[str, Any]) -> tuple[Mapping[str, Any], ...]:
 def _numbered_lines(root: Path) -> dict[str, int]:
     """Return name → number of all results that were ever listed, in the order of numbers."""
     try:
-        lines = (root / NUMBERS).read_text(encoding="utf-8", errors="surrogateescape").split("\n")
+        lines = (root / RUN_NUMBERS_FILE).read_text(encoding="utf-8", errors="surrogateescape").split("\n")
     except OSError:
         return {}
     known: dict[str, int] = {}

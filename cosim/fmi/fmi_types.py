@@ -81,8 +81,10 @@ FMI3 = {
     "String": TEXT,
     "Binary": FmiType("Binary", None, beside=True),
 }
+DOUBLE_TYPES = ("Real", "Float64")
+FLOAT_TYPES = (*DOUBLE_TYPES, "Float32")
 FAMILIES = {
-    **dict.fromkeys(("Real", "Float32", "Float64"), "real"),
+    **dict.fromkeys(FLOAT_TYPES, "real"),
     **dict.fromkeys(("Integer", *(k for k in FMI3 if "Int" in k), "Enumeration"), "whole"),
     "Boolean": "boolean",
     "String": "text",

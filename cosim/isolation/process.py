@@ -27,7 +27,7 @@ from cosim.core.scratch import ScratchFolder, scratch
 from cosim.files.cache import cache_environment
 from cosim.files.files import delay_stops
 from cosim.isolation import worker
-from cosim.isolation.rows import NOTHING, OTHER, Progress, mapped_progress
+from cosim.isolation.rows import NO_CALL, OTHER, Progress, mapped_progress
 from cosim.isolation.watch import READING_PAUSE, Clock, Watch, how_ended
 from cosim.isolation.worker import (
     ALONG,
@@ -41,7 +41,7 @@ from cosim.isolation.worker import (
     transfer_fault,
 )
 
-PREFIX = "cosim-work-"
+WORKER_FOLDER_PREFIX = "cosim-work-"
 POLL = 0.05  # interval between checks of a process [s]
 ENDING = 5.0  # time [s] for a process to end by itself
 NO_MESSAGE = b""  # in place of an answer: an FMU has written into the stream
@@ -88,7 +88,7 @@ class Worker:
         """Start a process that waits for `_attend`, with a new folder and progress unless another one is replaced."""
         if not replaced:
             self.end()
-            self._scratch: ScratchFolder = scratch(PREFIX)
+            self._scratch: ScratchFolder = scratch(WORKER_FOLDER_PREFIX)
         try:
             self.progress = mapped_progress(self.progress_file)
             # A fork has all imported modules. A lock of another thread, also of one of a library, would never be
@@ -134,7 +134,7 @@ class Worker:
         return self._process is not None and self._process.poll() is None
 
     def call(
-        self, function: Callable[..., Any], *arguments: Any, watch: Watch | None = None, doing: int = NOTHING
+        self, function: Callable[..., Any], *arguments: Any, watch: Watch | None = None, doing: int = NO_CALL
     ) -> Any:
         """Call a function in the worker and return its result.
 

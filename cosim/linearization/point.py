@@ -27,7 +27,7 @@ from cosim.simulation.packaged import is_ssp
 from cosim.simulation.workflow import run
 
 MAX_OUTPUT_DIFFERENCE = 1e-6  # largest difference between model and component, relative to the output's range
-MAX_NAMES = 8  # missing signals listed in a message
+MAX_MISSING_NAMES = 8  # missing signals listed in a message
 SCENARIOS = {".yaml", ".yml", ".json", ".ssp", ".ssd"}
 MAX_TIMES = 100_000
 AT = Path("--at")
@@ -180,7 +180,7 @@ def _component(results: Results, source: Source, scenario: Path, name: str) -> s
         names = ", ".join(fitting)
         raise InputError.at(AT, f"several components fit the model: {names}; choose one with --component NAME")
     absent = missing.get(name, signals)
-    names = f"{', '.join(absent[:MAX_NAMES])}{', …' if len(absent) > MAX_NAMES else ''}"
+    names = f"{', '.join(absent[:MAX_MISSING_NAMES])}{', …' if len(absent) > MAX_MISSING_NAMES else ''}"
     if name:
         text = f"{name} lacks inputs or outputs of {source.title} ({names}); give another component"
         raise InputError.at(AT, text)

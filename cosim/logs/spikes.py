@@ -15,8 +15,8 @@ import numpy as np
 from cosim.core.arrays import Array, NamedArrays, Rows
 from cosim.logs.log import Log, noise_level, surprise
 
-JUMP = 0.05  # share of an input's range, and 8 times its usual change, that may cause a kink
-ANSWER = 0.1  # [s] after the jump, and 5 rows, for the response
+MIN_JUMP_SHARE = 0.05  # share of an input's range, and 8 times its usual change, that may cause a kink
+RESPONSE_S = 0.1  # [s] after the jump, and 5 rows, for the response
 SCALE = (70 / 36) ** 0.5  # deviation from four equal neighbours relative to the noise
 WILD = 12.0  # multiple of the noise from which a reading is suspect
 MOST, ADJACENT = 3, 2  # outliers in a group, and in sequence; more are motion
@@ -41,8 +41,8 @@ def find_spikes(log: Log, predict: Prediction | None = None) -> dict[str, Rows]:
     jumps = np.zeros(log.rows)
     for values in log.inputs.values():
         change = np.abs(np.diff(values, prepend=values[0]))
-        jumps += (change > JUMP * np.ptp(values)) & (change > 8.0 * np.median(change))
-    after = max(5, round(ANSWER / log.step))
+        jumps += (change > MIN_JUMP_SHARE * np.ptp(values)) & (change > 8.0 * np.median(change))
+    after = max(5, round(RESPONSE_S / log.step))
     after_jumps = np.convolve(jumps, np.ones(after + 3))[2 : 2 + log.rows] > 0.5
     spikes = {}
     for name, rows in suspects.items():

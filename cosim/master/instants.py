@@ -23,9 +23,10 @@ from typing import TYPE_CHECKING, Any
 
 from cosim.blocks.event_mode import EventFmu
 from cosim.blocks.fmu import FmuBlock
-from cosim.blocks.model_exchange import AT_ONCE, CLOSE, MOST_EVENTS, ULPS, ModelExchange
+from cosim.blocks.model_exchange import AT_ONCE, MOST_EVENTS, ModelExchange
 from cosim.blocks.sources import SourceBlock
 from cosim.core.errors import SimulationError
+from cosim.core.times import TIME_TOLERANCE_SHARE, TIME_TOLERANCE_ULPS
 from cosim.isolation.rows import ADVANCE, GET, PUT
 from cosim.master.copying import Copies
 from cosim.master.initialization import EXACT_SWEEPS, is_settled
@@ -118,7 +119,7 @@ class Instants(Policy):
 
     def __init__(self, master: Master) -> None:
         self.master, self.begin, self.h, self.call = master, master.system.start, master.h, master.announce
-        self.close = CLOSE * self.h
+        self.close = TIME_TOLERANCE_SHARE * self.h
         self.events: list[tuple[float, str, str]] = []
         self.counts: dict[str, Counter[str]] = {}
         self.time, self.point, self.copies = self.begin, 0, master.copying.of(())
@@ -155,7 +156,7 @@ class Instants(Policy):
     def advance_to(self, k: int) -> None:
         """Step to point k, and handle the events before it."""
         t, end, control = self.begin + (k - 1) * self.h, self.begin + k * self.h, self.master.controlled
-        self.close = CLOSE * self.h + 2 * ULPS * math.ulp(max(abs(t), abs(end)))
+        self.close = TIME_TOLERANCE_SHARE * self.h + 2 * TIME_TOLERANCE_ULPS * math.ulp(max(abs(t), abs(end)))
         while True:
             flexible = [part for part in self.parts if part.rank != WHOLE]
             times = [end, *(part.time for part in flexible)]  # of components that are ahead

@@ -28,7 +28,7 @@ from cosim.core.arrays import Array, Flags
 from cosim.core.errors import NotFinite, SimulationError
 from cosim.core.times import first_point
 from cosim.isolation.rows import ADVANCE, GET, PUT
-from cosim.master.root_finding import Outcome, RootFinding
+from cosim.master.root_finding import ROUNDING_RESIDUAL, Outcome, RootFinding
 from cosim.scenario.scenario import LoopSettings
 from cosim.system.schedule import Loop
 from cosim.system.wiring import Transfer
@@ -40,14 +40,13 @@ SHIFT = 1e-5  # displacement of an input for differences, relative to its magnit
 PROBES = (1e-3, -1e-3, 0.5, -0.5)  # displacements that show whether an output depends on an input
 MOST_ITEMS = 4  # tried items of an enumeration
 REACTION = 1e-9  # smallest relative change of an output that counts
-ROUNDED = 1e-13  # residual of rounding, relative to the magnitude
 PROPOSED = 1e-8  # tolerance that a message proposes for a smaller one
 UNIT_GAIN = 1e-8  # smallest singular value of I − ∂g/∂z that counts
 UNIT_GAIN_POINTS = 0.0, 1.0, -0.37  # displacements in magnitudes of the unknowns
-RANGE = -3, 5  # exponents of 2 of other first points, where a component refuses the inputs
+RETRY_EXPONENTS = -3, 5  # exponents of 2 of other first points, where a component refuses the inputs
 MOST_DIFFERENCES = 50  # inputs of a loop without derivatives, beyond which Newton's method costs too much
 
-DOUBLINGS = 12  # of the residual, for the judgement whether it grows without bound
+RESIDUAL_DOUBLINGS = 12  # of the residual, for the judgement whether it grows without bound
 EVEN = 1.5  # ratio of the steps that the second and the first half of these doublings take
 LARGE = 1e9  # residual in nominal values from which on such growth ends a run
 
@@ -88,10 +87,10 @@ class DelayedLoop:
         if size <= 0.0 or (self._doublings and size < 2.0 * self._doublings[-1][1]):
             return False
         self._doublings.append((len(self._shares), size))
-        steps = [step for step, _ in self._doublings[-DOUBLINGS - 1 :]]
-        if size < LARGE or len(steps) <= DOUBLINGS:
+        steps = [step for step, _ in self._doublings[-RESIDUAL_DOUBLINGS - 1 :]]
+        if size < LARGE or len(steps) <= RESIDUAL_DOUBLINGS:
             return False
-        middle = steps[DOUBLINGS // 2]
+        middle = steps[RESIDUAL_DOUBLINGS // 2]
         return steps[-1] - middle <= EVEN * (middle - steps[0])
 
     def record(self) -> dict[str, Any]:
@@ -409,7 +408,7 @@ class LoopSolver:
             )
         else:
             more = ""
-            if abs(residual) <= ROUNDED * max(abs(value), roots.scale[worst]) and tolerance < PROPOSED:
+            if abs(residual) <= ROUNDING_RESIDUAL * max(abs(value), roots.scale[worst]) and tolerance < PROPOSED:
                 more = f", or a larger tolerance: this residual is rounding (loops: {{tolerance: {PROPOSED:g}}})"
             elif count >= self.settings.iterations:  # with fewer, no step leads nearer
                 more = f", or more iterations (loops: {{iterations: {5 * self.settings.iterations}}})"
@@ -436,7 +435,7 @@ class LoopSolver:
 
     def _outcome(self, z: Array) -> Outcome:
         """Return the end of the iterations from z."""
-        shifts = (z + s * self._roots.scale for k in range(*RANGE) for s in (2.0**k, -(2.0**k)))
+        shifts = (z + s * self._roots.scale for k in range(*RETRY_EXPONENTS) for s in (2.0**k, -(2.0**k)))
         for start in (z, *self._guesses, *shifts):
             if self.method == "newton":
                 outcome = self._roots.newton(self._sweep, start, self._slopes)

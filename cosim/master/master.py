@@ -58,7 +58,7 @@ from cosim.system.schedule import Stage, batches
 from cosim.system.system import System
 
 Progress = Callable[[int], None]  # receives the current communication point
-PROGRESS_EVERY = 50
+PROGRESS_EVERY_STEPS = 50
 
 
 class StoppedRun(Exception):
@@ -317,7 +317,7 @@ class Master:
         if self.inbox is not None:  # Progress is reported at its looks.
             points.append(self.inbox.next_look(k))
         elif self.progress is not None:
-            points.append(-(-k // PROGRESS_EVERY) * PROGRESS_EVERY)
+            points.append(-(-k // PROGRESS_EVERY_STEPS) * PROGRESS_EVERY_STEPS)
         return min(points, default=NEVER)
 
     def change(self, k: int) -> None:
@@ -348,7 +348,7 @@ class Master:
             self._repeat_exact(k + 1)
         if self.keeper is not None:
             self.keeper.compare_rows(self, k)
-        if self.progress is not None and k and (self.inbox is not None or k % PROGRESS_EVERY == 0):
+        if self.progress is not None and k and (self.inbox is not None or k % PROGRESS_EVERY_STEPS == 0):
             self.progress(k)
 
     def _repeat_exact(self, rows: int) -> None:

@@ -1,8 +1,8 @@
 """Observers of a running simulation, and changes of parameters and inputs that arrive while it is stepped.
 
 An observer is, e.g., a progress bar, a live plot, a recorder, or a set of functions that set inputs. It sends changes
-and pauses through a `Control`; the master takes them through an `Inbox` at its next look, about `LOOK` [s] later, and
-notes the communication point. An event at that point repeats the change.
+and pauses through a `Control`; the master takes them through an `Inbox` at its next look, about `LOOK_INTERVAL_S`
+later, and notes the communication point. An event at that point repeats the change.
 
 Changes go through files in a folder and counters that both sides may share. A record is complete before a counter
 counts it. The noted changes survive a crash of the master.
@@ -30,10 +30,10 @@ from cosim.system.events import Targets, Variable
 from cosim.system.system import System
 
 Values = Mapping[str, Mapping[str, Any]]  # component → variable → value
-LOOK = 0.01  # [s] between looks
+LOOK_INTERVAL_S = 0.01  # [s] between looks
 MOST_STEPS, MOST_IN_C = 50, 5000  # steps between looks; the loop in C returns after a second at the latest
-LATE = 0.5  # [s] after which steps have become slower than expected
-PAUSE = 0.01  # [s] between looks during a pause
+LATE_LOOK_S = 0.5  # [s] after which steps have become slower than expected
+PAUSE_LOOK_INTERVAL_S = 0.01  # [s] between looks during a pause
 SENT, NOTED = "sent", "noted"  # files of a folder
 MAX_CHARACTERS = 500  # of an error message
 
@@ -63,10 +63,10 @@ class Inbox:
     def next_look(self, k: int) -> int:
         """Return the next point, from k on, at which to look; sooner if steps take long."""
         now = time.perf_counter()
-        if self._due < k or now - self._time > LATE:
+        if self._due < k or now - self._time > LATE_LOOK_S:
             rate = (k - self._point) / max(now - self._time, 1e-9) if self._time >= 0.0 else 0.0  # [steps/s]
             self._point, self._time = k, now
-            self._due = k - 1 + max(1, min(self.most, int(LOOK * rate)))
+            self._due = k - 1 + max(1, min(self.most, int(LOOK_INTERVAL_S * rate)))
         return self._due
 
     def take(self, k: int, events: Values) -> Values:
@@ -76,7 +76,7 @@ class Inbox:
             since = time.perf_counter()
             doing, counters.doing[0] = counters.doing[0], WAITING
             while counters.hold[0] and not counters.stop[0]:
-                time.sleep(PAUSE)
+                time.sleep(PAUSE_LOOK_INTERVAL_S)
             counters.doing[0] = doing
             self.pause = time.perf_counter() - since
         count = counters.sent[0]

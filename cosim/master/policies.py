@@ -35,6 +35,7 @@ from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.stepping import NotCompiled, cores
 from cosim.core.arrays import Array
 from cosim.core.errors import CosimError, SimulationError
+from cosim.core.times import STEP_COUNT_TOLERANCE
 from cosim.isolation.rows import GET
 from cosim.master.c_loop import CompiledSteps
 from cosim.master.checkpoint import NOT_RESTORED
@@ -52,7 +53,6 @@ SMALLEST, LARGEST = 0.2, 4.0  # change of a step
 MUCH, MOST_NAMED = 0.01, 3  # allowed error of a step as a share of a signal that is named; number of names
 TIMED, SLOW = 4, 50e-6  # first steps that are timed; shortest step [s] that is worth a thread, as in stepping.c
 LEAST_ERROR = 1e-4  # smallest error that enters the controller
-ROUNDING = 1e-9  # relative
 Judged = tuple[float, str]  # error of a step relative to the tolerance, and the signal that has it
 
 
@@ -325,8 +325,11 @@ class ControlledSteps(Policy):
     def _next(self, t: float, end: float) -> tuple[float, bool]:
         """Return the end of the next step, and whether no shorter one is allowed."""
         rest = end - t
-        most = math.floor(rest / self.control.shortest + ROUNDING), math.ceil(rest / self.control.longest - ROUNDING)
-        parts = min(max(1, math.ceil(rest / self.wish - ROUNDING)), max(1, *most))
+        most = (
+            math.floor(rest / self.control.shortest + STEP_COUNT_TOLERANCE),
+            math.ceil(rest / self.control.longest - STEP_COUNT_TOLERANCE),
+        )
+        parts = min(max(1, math.ceil(rest / self.wish - STEP_COUNT_TOLERANCE)), max(1, *most))
         return end if parts == 1 else t + rest / parts, parts == max(1, *most)
 
     # -- steps with event mode ------------------------------------------------------------------
@@ -340,7 +343,7 @@ class ControlledSteps(Policy):
         """Judge a step by the values at its end, and choose the next one."""
         error, name = self._judge_inputs(reached)
         self.made += 1
-        is_shortest = reached - t <= self.control.shortest * (1.0 + ROUNDING)
+        is_shortest = reached - t <= self.control.shortest * (1.0 + STEP_COUNT_TOLERANCE)
         self._accept(t, reached - t, error, name, final=is_shortest)
 
     # -- step sizes -------------------------------------------------------------------------------

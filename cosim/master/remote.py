@@ -26,8 +26,8 @@ from cosim.isolation import worker as here
 from cosim.isolation.limits import Limits
 from cosim.isolation.process import Worker
 from cosim.isolation.rows import (
-    FOLLOWED,
     GET,
+    LIVE_ROWS_FILE,
     ExactFile,
     Progress,
     Rows,
@@ -46,8 +46,8 @@ from cosim.master.own_process import in_own_processes
 from cosim.system.recording import RecordedPart, take_signals
 from cosim.system.system import System
 
-MODULES = ("cosim.master.remote", "fmpy.fmi2", "fmpy.logging")
-PREFIX = ".rows-"
+RUN_MODULES = ("cosim.master.remote", "fmpy.fmi2", "fmpy.logging")
+ROWS_FOLDER_PREFIX = ".rows-"
 IN_USE = "in-use"  # file that a worker locks while it writes into a folder of checkpoints
 GRACE, SHORT_GRACE = 10.0, 2.0  # time [s] for a checkpoint at a stop, with and without checkpoints on request
 
@@ -118,7 +118,7 @@ def simulate_in(
             "step": h,
             "progress": str(worker.progress_file),
         }
-        followed = table.with_name(FOLLOWED)
+        followed = table.with_name(LIVE_ROWS_FILE)
         stack.callback(followed.unlink, missing_ok=True)
         with suppress(OSError):  # without space the run is only not followed
             followed.write_text(json.dumps(about), encoding="utf-8")
@@ -219,7 +219,7 @@ def _begin_rows(
     while rows >= max(given, 1):
         for parent in (folder or elsewhere, elsewhere) if kept.folder is None else (kept.folder,):
             if kept.folder is None:
-                temporary = scratch(PREFIX, parent)
+                temporary = scratch(ROWS_FOLDER_PREFIX, parent)
                 stack.callback(temporary.remove)
                 worker.take_along(temporary.path)
                 parent = temporary.path

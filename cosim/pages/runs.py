@@ -22,19 +22,19 @@ from cosim.files.folders import manifest_in, replay_record, run_name, status_in,
 from cosim.files.kinds import check_given, refuse_folder
 from cosim.files.results import rows_in
 from cosim.files.run_entries import Entry, Selected, entries, select_groups
-from cosim.isolation.rows import FOLLOWED, Progress
+from cosim.isolation.rows import LIVE_ROWS_FILE, Progress
 from cosim.master.checkpoint import ROWS
-from cosim.pages.rows import TIME, Recording, open_rows
+from cosim.pages.rows import TIME_COLUMN, Recording, open_rows
+from cosim.simulation.run_signals import RUN_OR_TABLE
 from cosim.sweeps.store import TABLE, read_runs
 
 NO_ROWS = "has no rows to draw{status}; give folders of runs, or tables with time in the first column"
-LOST = "{label} was removed or replaced; the rows that were read stay"
+FILE_LOST = "{label} was removed or replaced; the rows that were read stay"
 MAX_RUNS = 20  # results listed by name in a message
-MAX_NAMES = 5  # signals in a note
-LOOK = 1.0  # [s] between checks of a file
-SHARE = 5.0  # time between readings of a growing file, as a multiple of the reading time
+MAX_NOTED_SIGNALS = 5  # signals in a note
+FILE_CHECK_INTERVAL_S = 1.0  # [s] between checks of a file
+REREAD_INTERVAL_RATIO = 5.0  # time between readings of a growing file, as a multiple of the reading time
 NO_COLUMNS: Mapping[str, str] = MappingProxyType({})
-WANTED = "the folder of a run or a table of its rows"
 
 
 @dataclass(frozen=True)
@@ -84,7 +84,7 @@ class ViewedRun:
 
     @property
     def _is_running(self) -> bool:
-        return self.place.file.name == FOLLOWED
+        return self.place.file.name == LIVE_ROWS_FILE
 
     def _open(self) -> Recording:
         file, folder, begin = self.place.file, self.place.file.parent, time.monotonic()
@@ -103,9 +103,9 @@ class ViewedRun:
             (rows.inexact, "read as the nearest double"),
         ):
             if names:
-                some = ", ".join(names[:MAX_NAMES])
+                some = ", ".join(names[:MAX_NOTED_SIGNALS])
                 self.notes.append(Note(f"{self.place.label}: integers of {some} above 2^53 are {text}"))
-        self._due = time.monotonic() + max(LOOK, SHARE * (time.monotonic() - begin))
+        self._due = time.monotonic() + max(FILE_CHECK_INTERVAL_S, REREAD_INTERVAL_RATIO * (time.monotonic() - begin))
         return rows
 
     @property
@@ -141,7 +141,7 @@ class ViewedRun:
             if (rows := rows_in(folder)) is None:
                 return False  # the run has ended, and its results are being written
             self.place = replace(self.place, file=rows, entry=None)
-        state, lost = file_state(self.place.file), LOST.format(label=self.place.label)
+        state, lost = file_state(self.place.file), FILE_LOST.format(label=self.place.label)
         if state == (0, 0):
             self.lost = lost
         if self.lost or state == self._state or time.monotonic() < self._due:
@@ -235,13 +235,15 @@ def _places(
         if earlier := [place for e in series if (place := _of_entry(e, is_named=True)) is not None]:
             notes.append(f"{path} has no rows to draw; the newest run that has, {earlier[-1].label}, is shown")
             return earlier[-1:]
-        refuse_folder(path, WANTED)
+        refuse_folder(path, RUN_OR_TABLE)
         raise InputError.at(path, NO_ROWS.format(status=status_in(path)))
     units, display = swept.record["units"], swept.record.get("display") or {}
     notes.append(
         f"{name} is a sweep; {len(runs)} of its {counted(swept.record['runs'], 'run')} are shown, at the times kept"
     )
-    labels = {f"{name} run {number}": Recording({TIME: time, **signals}, units) for number, signals in runs.items()}
+    labels = {
+        f"{name} run {number}": Recording({TIME_COLUMN: time, **signals}, units) for number, signals in runs.items()
+    }
     return [RunPlace(n, n, path / TABLE, rows=rows, display=display) for n, rows in labels.items()]
 
 
@@ -282,7 +284,7 @@ def _rows_of(folder: Path) -> Path | None:
     """Return the file with a run's rows; for a running simulation, the file with the location of its rows."""
     if (rows := rows_in(folder)) is not None:
         return rows
-    for followed in folder.glob(f"*/{FOLLOWED}"):
+    for followed in folder.glob(f"*/{LIVE_ROWS_FILE}"):
         with suppress(OSError, ValueError):  # the run ends meanwhile
             if Path(json.loads(followed.read_text(encoding="utf-8"))["progress"]).is_file():
                 return followed

@@ -16,8 +16,8 @@ import numpy as np
 from cosim.core.arrays import Array, NamedArrays, NamedValues
 from cosim.core.errors import SimulationError
 from cosim.core.text import join_names, plain, size
-from cosim.logs.gate import ORDER, refuse_faults
-from cosim.logs.log import SENSORS, Finding, Log, least_noise_level
+from cosim.logs.gate import SEVERITIES, refuse_faults
+from cosim.logs.log import SENSOR_FINDING, Finding, Log, least_noise_level
 from cosim.logs.model_comparison import output_findings
 from cosim.residuals.drive import Drive, as_columns
 from cosim.residuals.residual_statistics import (
@@ -46,9 +46,9 @@ from cosim.residuals.windows import (
 WINDOWS, FEWEST_DRAWS, SEED = 40, 2, 1  # least number of windows drawn
 BY_CHANCE = 1e-4  # false alarm probability of a correct model for each channel
 AT_LEAST = 1.5  # least limit relative to the floor, since noise levels are estimates
-ROUNDING = 1e-9  # share of a channel's size
-STEP = 1e-6  # change of a start value without known noise
-EXACT = 1e-4  # share of a channel's spread; a log without noise is matched to rounding
+ROUNDING_SHARE = 1e-9  # share of a channel's size
+START_VALUE_STEP = 1e-6  # change of a start value without known noise
+NEGLIGIBLE_ERROR_SHARE = 1e-4  # share of a channel's spread; a log without noise is matched to rounding
 Verdict = Literal["explained", "unexplained", "undecided"]
 FOLLOWS = 2.5  # multiple of the 95 % band, five standard errors: beyond chance despite slow start errors
 
@@ -130,7 +130,7 @@ def compare(drive: Drive, free: Replay, findings: Sequence[Finding]) -> Comparis
         error, lost = scores[decisive], floor.astray > floor.rmse
         excess = error.rmse / floor.rmse if not lost and floor.rmse > 0.0 else math.nan
         # at rounding level, or without anything to compare
-        exact = error.rows == 0 or error.rmse == 0.0 or error.fit > 100.0 * (1.0 - EXACT)
+        exact = error.rows == 0 or error.rmse == 0.0 or error.fit > 100.0 * (1.0 - NEGLIGIBLE_ERROR_SHARE)
         matched = not lost and (exact or excess < floor.limit)
         explained = matched and (exact or not any(u.strength > FOLLOWS for u in inputs[:1]))
         noise, white = least_noise_level(measured, free.outputs[name]), whiteness(residual, lags)
@@ -143,7 +143,7 @@ def compare(drive: Drive, free: Replay, findings: Sequence[Finding]) -> Comparis
             )
             numbers = {"rmse": floor.astray, "noise": floor.rmse}
             hidden.append(Finding("warning", "hidden_state", name, message, numbers))
-    everything = sorted((*findings, *against, *hidden), key=lambda f: ORDER.index(f.severity))
+    everything = sorted((*findings, *against, *hidden), key=lambda f: SEVERITIES.index(f.severity))
     return Comparison(log, drive, replays, tuple(channels), tuple(everything))
 
 
@@ -227,7 +227,7 @@ def floors(drive: Drive, free: Replay, measured: Replay) -> dict[str, ChannelFlo
         error = model - restarted[name]
         values, astray = model[np.isfinite(error)], 0.0
         if horizon != FREE_RUN and values.size:
-            least = max(EXACT * float(np.std(values)), ROUNDING * float(np.max(np.abs(values))))
+            least = max(NEGLIGIBLE_ERROR_SHARE * float(np.std(values)), ROUNDING_SHARE * float(np.max(np.abs(values))))
             astray = rest if (rest := rmse(error)) > least else 0.0
         result[name] = ChannelFloor(totals[name], _limit(np.concatenate(squares), count), astray)
     return result
@@ -247,7 +247,7 @@ def _linear_run(
     try:
         for name, p in free.parameters.items():
             level = levels.get(name, math.nan)
-            step = level / abs(p.gain) if level > 0.0 else STEP * max(1.0, abs(about[p.name]))
+            step = level / abs(p.gain) if level > 0.0 else START_VALUE_STEP * max(1.0, abs(about[p.name]))
             step = step if about[p.name] + step <= p.high else -step
             outputs = drive.run(0, drive.log.rows - 1, {**start, **about, p.name: about[p.name] + step})
             slopes[p.name] = (outputs - table) / step
@@ -322,7 +322,7 @@ def sentence(comparison: Comparison) -> str:
         delays = [f for f in comparison.findings if f.kind == "delay" and f.channel in wrong]
         if delays := [f for f in delays if abs(f.numbers["delay"]) > comparison.log.step]:
             cause = max(delays, key=lambda f: abs(f.numbers["delay"]) / f.numbers["error"]).whole
-        cause = next((f.whole for f in comparison.findings if f.kind == SENSORS), cause)
+        cause = next((f.whole for f in comparison.findings if f.kind == SENSOR_FINDING), cause)
         texts.append(f"{worst.name} is off by {error}; the residual {follows}. {cause}.")
     elif answer == "explained":
         texts.append(f"All channels agree with the log within sensor noise; {worst.name} is off by {error}.")

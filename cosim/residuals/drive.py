@@ -37,10 +37,10 @@ from cosim.isolation.watch import Watch, fmi_calls
 from cosim.logs.log import Log, read_log
 from cosim.scenario.start_values import NOT_NUMBERS, start_value
 
-PLANT = "plant"  # component name in results and messages
-MODULES = ("cosim.residuals.drive", "fmpy.fmi2", "fmpy.logging")
-PROGRESS_EVERY = 500
-SWITCHES = {"true": True, "on": True, "1": True, "false": False, "off": False, "0": False}
+PLANT_COMPONENT = "plant"  # component name in results and messages
+REPLAY_MODULES = ("cosim.residuals.drive", "fmpy.fmi2", "fmpy.logging")
+PROGRESS_EVERY_ROWS = 500
+BOOLEAN_TEXTS = {"true": True, "on": True, "1": True, "false": False, "off": False, "0": False}
 COARSE = 1e3  # times the tolerance of times, for logs whose times are printed
 PER_ROW = 8  # steps between rows for interpolated inputs, each held at its midpoint
 
@@ -64,7 +64,7 @@ class DriveSteps(NamedTuple):
 
 def model_signals(fmu: Path) -> tuple[Sequence[Signal], Sequence[Signal]]:
     """Return the real inputs and outputs of an FMU, the signals of its logs."""
-    block = FmuBlock(PLANT, fmu, read_description(fmu), {}, frozenset())
+    block = FmuBlock(PLANT_COMPONENT, fmu, read_description(fmu), {}, frozenset())
     return block.inputs, block.outputs
 
 
@@ -132,7 +132,7 @@ class Drive:
         self.description = description = read_description(fmu)
         self.traits = traits_of(fmu)  # None for an FMU of another tool
         self.frame = self.traits.planar if self.traits else None
-        self.block = RestartableFmu(PLANT, fmu, description, {}, frozenset(log.inputs))
+        self.block = RestartableFmu(PLANT_COMPONENT, fmu, description, {}, frozenset(log.inputs))
         self.block.await_inputs(always=True)
         faults = []
         sides = (("input", log.inputs, self.block.inputs), ("output", log.outputs, self.block.outputs))
@@ -266,7 +266,7 @@ class Drive:
                     block.get()
                     ctypes.memmove(there + whole * size, here, size)
                     whole = done[0] = whole + 1
-                if self.progress is not None and made % PROGRESS_EVERY == 0:
+                if self.progress is not None and made % PROGRESS_EVERY_ROWS == 0:
                     self.progress(self._driven[0] + made)
         except SimulationError:
             self.left = self._at_rows(table[:whole], reached, first, last)
@@ -380,7 +380,7 @@ def start_values(fmu: Path, texts: Sequence[str], fault: Callable[[str, str], Fa
         with suppress(NotYaml):
             read = Document(written).data
         if kind in NOT_NUMBERS and not isinstance(read, str):
-            read = SWITCHES.get(written.lower(), written) if kind == "Boolean" else written
+            read = BOOLEAN_TEXTS.get(written.lower(), written) if kind == "Boolean" else written
         try:
             if not (name and written):
                 raise ValueError("it is NAME=VALUE, as in gain=0.9")
@@ -480,7 +480,7 @@ class DriveApart(Drive):
         begin = float(self.log.time[0])
         driven, progress = self._driven[0], self.progress
         return Watch(
-            [PLANT],
+            [PLANT_COMPONENT],
             [fmi_calls(self.description)],
             lambda made, call: times[min(max(0, made - 1), len(times) - 1)] if times else begin,
             self._limits,

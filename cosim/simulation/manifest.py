@@ -24,7 +24,7 @@ from cosim.scenario.scenario import Scenario, resolve_defaults
 from cosim.scenario.scenario_file import ScenarioFile, sha256
 from cosim.system.system import System
 
-PACKAGES = ("FMPy", "pythonfmu", "numpy", "scipy", "filterpy", "control", "pydantic")
+RECORDED_PACKAGES = ("FMPy", "pythonfmu", "numpy", "scipy", "filterpy", "control", "pydantic")
 
 
 def resolve_scenario(file: ScenarioFile, system: System) -> Scenario:
@@ -146,7 +146,7 @@ def software_versions() -> dict[str, Any]:
     The call takes a while, because it starts git.
     """
     versions = {"python": platform.python_version(), "platform": platform.platform()}
-    for package in PACKAGES:
+    for package in RECORDED_PACKAGES:
         with suppress(PackageNotFoundError):
             versions[package.lower()] = version(package)
     git, folder = None, Path(__file__).resolve().parent.parent

@@ -23,7 +23,7 @@ from typing import Any
 
 import numpy as np
 
-from cosim.blocks.model_exchange import LONGEST
+from cosim.blocks.model_exchange import MIN_SOLVER_STEPS
 from cosim.core.errors import InputError
 from cosim.core.scratch import lock_file
 from cosim.core.times import rounding, roundings
@@ -33,7 +33,7 @@ from cosim.files.folders import content_of, has_type, new_run, newest_run, sound
 from cosim.files.results import Results, read_results, rows_in
 from cosim.files.state_file import sync, unpack
 from cosim.isolation.rows import read_exact, read_table
-from cosim.master.checkpoint import BESIDE, FORMAT, ROWS, STATE, Continuation, RowsHash
+from cosim.master.checkpoint import BESIDE, CHECKPOINT_VERSION, ROWS, STATE, Continuation, RowsHash
 from cosim.master.remote import IN_USE, read_state
 from cosim.scenario.scenario import Scenario
 from cosim.scenario.scenario_file import ScenarioFile
@@ -103,7 +103,7 @@ class StoppedRun:
         start = self._first.start_time
         stop = start + self._first.step * self._first.steps  # as the master computes it
         exchanged: list[Any] = [stage.component for stage in system.stages if is_exchange(stage.component)]
-        return {c.name: (stop - start) / LONGEST for c in exchanged if c.instance.longest is None}
+        return {c.name: (stop - start) / MIN_SOLVER_STEPS for c in exchanged if c.instance.longest is None}
 
     def scenario(self, until: float | None, solver_steps: Mapping[str, float] = MappingProxyType({})) -> ScenarioFile:
         """Return the scenario, ending at `until` [s] if given.
@@ -227,9 +227,9 @@ def open_stopped(path: Path, stack: ExitStack) -> StoppedRun:
     if state is not None:
         try:
             checkpoint = unpack(state)
-            if checkpoint["format"] != FORMAT:
+            if checkpoint["format"] != CHECKPOINT_VERSION:
                 raise InputError.at(
-                    kept / STATE, OTHER_VERSION.format(version=f"format {checkpoint['format']}", own=FORMAT)
+                    kept / STATE, OTHER_VERSION.format(version=f"format {checkpoint['format']}", own=CHECKPOINT_VERSION)
                 )
             lasted = float(checkpoint["elapsed"])
         except (ValueError, LookupError, TypeError, RecursionError) as error:  # also BadState

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from cosim.blocks.compiling import LIMIT, permission
+from cosim.blocks.compiling import FMU_COMPILE_LIMIT_S, permission
 from cosim.blocks.summary import experiment_of
 from cosim.core import errors
 from cosim.core.errors import FmuError, InputError, Interrupted
@@ -24,7 +24,7 @@ from cosim.fmi.description import read_description, takes_any_step, validation
 from cosim.isolation.limits import Limits
 from cosim.isolation.process import Worker
 from cosim.master.beforehand import with_feedthrough
-from cosim.master.remote import MODULES, simulate_in
+from cosim.master.remote import RUN_MODULES, simulate_in
 from cosim.scenario.scenario_file import ScenarioFile
 from cosim.simulation.manifest import check_pinned
 from cosim.simulation.packaged import lay_out
@@ -116,7 +116,7 @@ def _check(file: ScenarioFile, path: Path, worker: Worker | None, warnings: Sequ
 
 def _run_once(file: ScenarioFile, system: System, path: Path, worker: Worker) -> list[str]:
     """Return the messages of the FMUs in the first step; raise InputError with a fault at `path` if it fails."""
-    load_limit = MAX_CALL_TIME + (LIMIT if permission.get() else 0.0)
+    load_limit = MAX_CALL_TIME + (FMU_COMPILE_LIMIT_S if permission.get() else 0.0)
     system = replace(system, events={k: changes for k, changes in system.events.items() if k <= 1})
     limits = file.scenario.limits or Limits(step=MAX_CALL_TIME, load=load_limit)
     worker.start()
@@ -183,7 +183,7 @@ def coupling_error(scenario: FilePath, overrides: Sequence[str] = (), *, in_proc
         raise InputError([original.fault(("step",), reason)])
     runs: list[Results] = []
     with ExitStack() as stack:
-        worker = None if in_process else stack.enter_context(Worker(*MODULES))
+        worker = None if in_process else stack.enter_context(Worker(*RUN_MODULES))
         for parts in (1, 2):
             step, steps = original.scenario.step / parts, original.scenario.steps * parts
             file = ScenarioFile(Path(scenario), (*overrides, "noise=off", f"step={step!r}"))

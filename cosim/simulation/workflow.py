@@ -44,7 +44,7 @@ from cosim.isolation.process import Worker
 from cosim.master.beforehand import with_feedthrough, without_ended_states
 from cosim.master.checkpoint import STATE, Continuation, Keeping
 from cosim.master.observer import Change, InputFunctions, NamedFunctions, Observers, ProgressObserver, with_changes
-from cosim.master.remote import MODULES, simulate_in
+from cosim.master.remote import RUN_MODULES, simulate_in
 from cosim.scenario.scenario_file import ScenarioFile, from_here, sha256
 from cosim.simulation.criteria import evaluate
 from cosim.simulation.manifest import add_changes, check_pinned, manifest, software_versions
@@ -151,7 +151,7 @@ def run(
         path = stack.enter_context(_scenario_file(scenario))
         if not goes_on and not is_ssp(path):
             check_form(path, artefact.SCENARIO, artefact.MANIFEST)  # before the worker is started
-        worker = None if in_process else stack.enter_context(Worker(*MODULES))
+        worker = None if in_process else stack.enter_context(Worker(*RUN_MODULES))
         if worker is not None:
             worker.start()  # The worker starts up while files are read.
         software = stack.enter_context(ThreadPoolExecutor(1)).submit(software_versions)  # parallel to the loading

@@ -18,11 +18,10 @@ from xml.etree.ElementTree import Element, SubElement, indent, tostring
 from cosim.core.drafts import draft_of
 from cosim.core.units import SI, definition_of
 from cosim.core.version import __version__
-from cosim.files.archive import STRUCTURE
+from cosim.files.archive import ARCHIVE_DATE, STRUCTURE
 from cosim.fmi.description import unit_definition
-from cosim.ssp.read import FMU, NAMESPACES, Units
+from cosim.ssp.read import FMU_TYPE, SSP_NAMESPACES, Units
 
-EPOCH = (1980, 1, 1, 0, 0, 0)
 START, RESOURCES = "start", "resources"
 OSP = "http://opensimulationplatform.com/SSP/OSPAnnotations"
 OSP_TYPE = "com.opensimulationplatform"  # annotation from which libcosim reads the communication step
@@ -93,7 +92,7 @@ def write_ssp(path: Path, whole: Whole) -> Path:
     members |= {files[model.name]: model.fmu.read_bytes() for model in whole.models}
     with draft_of(path) as draft, zipfile.ZipFile(draft, "w", zipfile.ZIP_DEFLATED) as archive:
         for name, data in members.items():
-            archive.writestr(zipfile.ZipInfo(name, EPOCH), data, zipfile.ZIP_DEFLATED)
+            archive.writestr(zipfile.ZipInfo(name, ARCHIVE_DATE), data, zipfile.ZIP_DEFLATED)
     return path
 
 
@@ -122,7 +121,7 @@ def _xml(root: Element) -> bytes:
 
 def _namespaces(*prefixes: str) -> dict[str, str]:
     """Return the XML attributes that declare namespaces."""
-    return {f"xmlns:{prefix}": uri for uri, prefix in NAMESPACES.items() if prefix in prefixes}
+    return {f"xmlns:{prefix}": uri for uri, prefix in SSP_NAMESPACES.items() if prefix in prefixes}
 
 
 def _description(whole: Whole, files: Mapping[str, str]) -> Element:
@@ -131,7 +130,7 @@ def _description(whole: Whole, files: Mapping[str, str]) -> Element:
     system = SubElement(root, "ssd:System", name="system", description=whole.description)
     elements = SubElement(system, "ssd:Elements")
     for model in whole.models:
-        about = {"name": model.name, "type": FMU, "source": files[model.name], "implementation": "CoSimulation"}
+        about = {"name": model.name, "type": FMU_TYPE, "source": files[model.name], "implementation": "CoSimulation"}
         element = SubElement(elements, "ssd:Component", about)
         connectors = SubElement(element, "ssd:Connectors") if model.ports else element
         for port in model.ports:

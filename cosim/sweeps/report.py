@@ -21,14 +21,13 @@ from cosim.sweeps.sweep_file import DISTRIBUTIONS, Grid
 
 TEMPLATE = Path(__file__).with_name("templates") / "sweep.html.j2"
 MOST_BANDS = 16
-MOST_RUNS = 20_000  # at most, for a band
+MAX_BAND_RUNS = 20_000  # at most, for a band
 MOST_POINTS = 2000  # runs in a scatter plot
 MOST_SCATTERED = 4  # criteria with scatter plots, each over two factors
-NEVER = "never"
 MOST_OTHERS = 24  # further scatter plots
 MOST_BINS, MOST_LINES = 60, 300  # of a histogram; of parallel coordinates
 MOST_LISTED = 10  # runs farthest from meeting a criterion
-MARK = 0.012  # width of the mark at what chance reaches
+MARK_WIDTH = 0.012  # width of the mark at what chance reaches
 Criterion = Mapping[str, Any]
 
 
@@ -75,7 +74,7 @@ def page(swept: Swept) -> str:
         "scatters": scatters,
         "more_scatters": more_scatters,
         "factors": [_factor(swept, factor) for factor in study.factors],
-        "plots": _bands({name: signal_of(table, name, MOST_RUNS) for name in names}, record, charts),
+        "plots": _bands({name: signal_of(table, name, MAX_BAND_RUNS) for name in names}, record, charts),
         "always_met": [s.outcome for s in indices if s.outcome in values.keys() - missed],
         "unranked": sorted(missed - {s.outcome for s in first}) if first else [],
         "sensitivities": [_indices(s) for s in first or others],
@@ -129,7 +128,7 @@ def _worst(swept: Swept, table: Any) -> list[Mapping[str, Any]]:
     for k in failing[np.argsort(-far[failing], kind="stable")][:MOST_LISTED]:
         cells = {name: column[runs[k]] for name, column in swept.sweep.columns.items()}
         texts = (f"{name} = {f'{v:.4g}' if isinstance(v, float) else v}" for name, v in cells.items())
-        value = _figure(float(reached[k]), criterion["unit"]) if np.isfinite(reached[k]) else NEVER
+        value = _figure(float(reached[k]), criterion["unit"]) if np.isfinite(reached[k]) else "never"
         command = repeat_command(swept.sweep, runs[k])
         rows.append({"run": runs[k], "value": value, "factors": ", ".join(texts), "command": command})
     return rows
@@ -249,7 +248,7 @@ def _indices(s: Sensitivity) -> Mapping[str, Any]:
     rows, ranks = [], {name: str(k) for k, name in enumerate(s.ranked, 1)}
     for k, name in enumerate(s.factors):
         # without total indices, a mark at what chance reaches
-        drawn, text = _bar(s.pawn[k], s.chance, s.chance + MARK), plain(s.pawn[k], 2)
+        drawn, text = _bar(s.pawn[k], s.chance, s.chance + MARK_WIDTH), plain(s.pawn[k], 2)
         if s.total:
             size, half = s.total[k]
             drawn, text = _bar(size, size - half, size + half), pair(size, half)

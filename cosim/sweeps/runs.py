@@ -36,7 +36,7 @@ from cosim.scenario.scenario_file import ScenarioFile
 from cosim.simulation.criteria import evaluate
 from cosim.system.system import build_system
 
-MODULES = ("cosim.sweeps.runs", "fmpy.fmi2", "fmpy.logging")
+SWEEP_MODULES = ("cosim.sweeps.runs", "fmpy.fmi2", "fmpy.logging")
 CACHED_SYSTEMS = 16  # assembled systems cached per worker
 UNKEPT = 1  # runs of a system before its libraries are kept
 NO_MESSAGES: Mapping[str, Any] = {"first": (), "last": (), "omitted": 0}
@@ -109,7 +109,7 @@ def work_in(worker: Worker) -> None:
 def make_run_apart(job: Job, request: RunRequest) -> RunResult:
     """Make a run in a process of this thread, so that a crash or an exceeded limit fails this run only."""
     if not hasattr(_of_thread, "worker"):
-        work_in(Worker(*MODULES))
+        work_in(Worker(*SWEEP_MODULES))
     worker: Worker = _of_thread.worker
     own_copies = request.own_copies or _of_thread.own_copies
     try:

@@ -17,7 +17,7 @@ import numpy as np
 from cosim.core.arrays import Array, Rows
 from cosim.core.extras import optional
 
-MOST_RUNS = 1_000_000
+MAX_SWEEP_RUNS = 1_000_000
 Sampling = Literal["latin-hypercube", "sobol", "random", "saltelli"]
 QUANTILE_975 = 1.959963984540054  # of the normal distribution
 QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)

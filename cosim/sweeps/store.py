@@ -33,14 +33,14 @@ if TYPE_CHECKING:
 DATABASE, TABLE, RECORD = "runs.sqlite", "sweep.parquet", "sweep.json"
 GROUP = 4096  # runs per write
 STORED_EVERY = 0.2  # [s]
-FORMAT = 3  # of the database; one of another format is not continued
+DATABASE_VERSION = 3  # of the database; one of another format is not continued
 
 
 class Database:
     """Database of finished runs, consistent even after a kill, which loses those of the last moment."""
 
     def __init__(self, path: Path, key: str) -> None:
-        self.path, key = path, f"{FORMAT} {key}"
+        self.path, key = path, f"{DATABASE_VERSION} {key}"
         try:
             self._base = sqlite3.connect(path)
             self._stored = time.monotonic()

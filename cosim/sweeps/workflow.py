@@ -39,8 +39,7 @@ from cosim.sweeps.runs import RunResult, assemble, make_run, sampled_rows
 from cosim.sweeps.sampling import share_interval
 from cosim.sweeps.store import DATABASE, RECORD, TABLE, Database, read_table, write_table
 
-PARTS = "parts"  # folder of the parts made by --part, as parts/17-of-200
-REPORT = "report.html"
+PARTS_FOLDER = "parts"  # folder of the parts made by --part, as parts/17-of-200
 MAX_LISTED_FAILURES = 20
 Progress = Callable[[int, int], None]
 
@@ -119,15 +118,15 @@ def sweep(
         k, of = map(int, match.groups()) if match else (0, 0)
         if not 1 <= k <= of:
             raise InputError.at(Path("--part"), f"{part!r} is no part; give K/N with K from 1 to N, such as 17/200")
-        runs, home = runs[k - 1 :: of], folder / PARTS / f"{k}-of-{of}"
+        runs, home = runs[k - 1 :: of], folder / PARTS_FOLDER / f"{k}-of-{of}"
     inputs = [study.yaml.path, study.job.scenario, *study.files]
     check_installed("SALib", "cosim sweep")  # imported for the report only
     goes_on = resume or join or part is not None
     with ExitStack() as stack:
         home = stack.enter_context(new_run(home, study.name, "cosim sweep", force=force or goes_on))
-        check_writable(home, (TABLE, RECORD, REPORT, DATABASE), inputs)
+        check_writable(home, (TABLE, RECORD, "report.html", DATABASE), inputs)
         folder = home if part is None or folder is None else folder
-        stored = [*folder.glob(DATABASE), *sorted(folder.glob(f"{PARTS}/*/{DATABASE}"))]
+        stored = [*folder.glob(DATABASE), *sorted(folder.glob(f"{PARTS_FOLDER}/*/{DATABASE}"))]
         if not goes_on:
             remove_earlier(folder, read=inputs)
             for file in stored:
@@ -203,7 +202,7 @@ def sweep(
             from cosim.sweeps.report import page
 
             with showing(record):
-                write_text(folder / REPORT, page(swept))
+                write_text(folder / "report.html", page(swept))
     if record["failed"] == record["runs"]:
         first = record["failures"][0]
         raise SweepFailed(f"all {counted(study.count, 'run')} failed; run {first['run']}: {first['why']}")

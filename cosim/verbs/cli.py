@@ -58,13 +58,13 @@ class Output:
 
 
 OUTPUT = Output()  # of this process, set by the options of any command
-COLOURS = {"good": "green", "warn": "yellow", "bad": "red"}
+TONE_COLOURS = {"good": "green", "warn": "yellow", "bad": "red"}
 LAST: list[Callable[[], None]] = []  # functions called when everything about the command has been printed
 
 
 def echo(text: str, *, err: bool = False, tone: str = "") -> None:
     """Write a line without control characters, in the colour of its tone, unless the stream is closed."""
-    colour = None if os.environ.get("NO_COLOR") else COLOURS.get(tone)
+    colour = None if os.environ.get("NO_COLOR") else TONE_COLOURS.get(tone)
     try:
         typer.secho(printable(text), err=err, fg=colour)
     except BrokenPipeError:
@@ -262,7 +262,7 @@ def _show_version(value: bool) -> None:
         raise typer.Exit
 
 
-VERSION = typer.Option("--version", callback=_show_version, is_eager=True, help="Show the version and exit.")
+VERSION_OPTION = typer.Option("--version", callback=_show_version, is_eager=True, help="Show the version and exit.")
 
 
 @functools.cache
@@ -275,7 +275,7 @@ def command_line(chosen: str = "") -> typer.Typer:
     line = typer.Typer(context_settings=keys, no_args_is_help=True, pretty_exceptions_enable=False)
 
     @line.callback()
-    def main(version: Annotated[bool, VERSION] = False) -> None:
+    def main(version: Annotated[bool, VERSION_OPTION] = False) -> None:
         """Simulate coupled FMUs, compare them with measured logs, and find missing effects of a model."""
 
     for name, verb in () if chosen == "--version" else verbs(chosen):

@@ -31,8 +31,8 @@ if TYPE_CHECKING:
     from cosim.sweeps.store import Runs
 
 
-MAX_SIGNALS = 12  # number of signals on the terminal
-WIDEST = 60  # characters of an outcome, of values and of changes in a table
+MAX_TERMINAL_SIGNALS = 12  # number of signals on the terminal
+MAX_CELL_WIDTH = 60  # characters of an outcome, of values and of changes in a table
 SORTED: Mapping[str, Callable[[Any], Any]] = {  # key of --sort → order of entries
     "when": lambda e: e.time,
     "command": lambda e: e.verb,
@@ -154,22 +154,22 @@ def _comparison_lines(c: ComparedRuns) -> list[str]:
 
     lines = [c.summary]
     lines += [f"  {label}{'  (baseline)' if k == c.baseline else ''}" for k, label in enumerate(c.labels)]
-    inputs = [(f"  {i.name}", *(input_text(i.values[k]) for k in c.drawn)) for i in c.inputs[:MAX_SIGNALS]]
+    inputs = [(f"  {i.name}", *(input_text(i.values[k]) for k in c.drawn)) for i in c.inputs[:MAX_TERMINAL_SIGNALS]]
     lines += table(("  input", *(c.shorts[k] for k in c.drawn)), inputs) if inputs else []
     others = [k for k in c.drawn if k != c.baseline]
     rows = []
     differing = c.differing
-    for name, cells in list(differing.items())[:MAX_SIGNALS]:
+    for name, cells in list(differing.items())[:MAX_TERMINAL_SIGNALS]:
         found = [cells[k] for k in others]
         texts = ["" if d is None else f"{format_size(d, d.largest)}, {format_share(d)}, {d.at:.6g} s" for d in found]
         notes = dict.fromkeys(d.note for d in found if d is not None and d.note)
         rows.append((f"  {name}", *texts, ", ".join(notes)))
     lines += table(("  largest difference", *(c.shorts[k] for k in others), ""), rows) if rows else []
-    if len(differing) > MAX_SIGNALS:
-        lines.append(f"  … and {len(differing) - MAX_SIGNALS} more that differ")
+    if len(differing) > MAX_TERMINAL_SIGNALS:
+        lines.append(f"  … and {len(differing) - MAX_TERMINAL_SIGNALS} more that differ")
     for k, pair in c.by_run.items():
         for where, only in ((c.shorts[c.baseline], pair.only_a), (c.shorts[k], pair.only_b)):
-            lines += [f"  only in {where}: {some(only, MAX_SIGNALS)}"] if only else []
+            lines += [f"  only in {where}: {some(only, MAX_TERMINAL_SIGNALS)}"] if only else []
     return lines
 
 
@@ -257,7 +257,9 @@ def list_command(
     rows = []
     for e, when in found:
         merits = ", ".join(f"{title} {text}" for title, (_, text) in e.merits.items())
-        texts = (t if len(t) <= WIDEST else f"{t[: WIDEST - 1]}…" for t in (e.outcome, merits, e.changed))
+        texts = (
+            t if len(t) <= MAX_CELL_WIDTH else f"{t[: MAX_CELL_WIDTH - 1]}…" for t in (e.outcome, merits, e.changed)
+        )
         rows.append((str(e.number), f"{when:%Y-%m-%d %H:%M}", e.verb, e.name, *texts, e.version))
     heads = ("no.", "when", "command", "name", "outcome", "values", "changed", "of cosim")
     head, *lines = table(heads, rows) if rows else [f"no results in {root}"]

@@ -15,11 +15,11 @@ import numpy as np
 from cosim.core.arrays import Array, NamedValues
 
 DISTURBANCE = "disturbance."  # prefix of a forced state's unknown input, a state of its own
-CONSTANT = "constant."  # prefix of a parameter as constant state, for the filter to estimate
+CONSTANT_PREFIX = "constant."  # prefix of a parameter as constant state, for the filter to estimate
 DEVIATION = "deviation."  # prefix of the deviation of a free run's output, which unknown inputs drive
 EARLIER = "earlier."  # prefix of the deviation in the row before, which stands for hidden states
 START = "start."  # prefix of a start value of an FMU for co-simulation, a constant state
-MEMORY = "disturbance.time"  # parameter with the correlation time of unknown inputs [s]
+CORRELATION_TIME = "disturbance.time"  # parameter with the correlation time of unknown inputs [s]
 
 
 @dataclass(frozen=True)
@@ -86,7 +86,7 @@ class Layout:
     @cached_property
     def constants(self) -> Mapping[str, int]:
         """Return parameter → index of its constant state."""
-        return {n.removeprefix(CONSTANT): k for k, n in enumerate(self.states) if n.startswith(CONSTANT)}
+        return {n.removeprefix(CONSTANT_PREFIX): k for k, n in enumerate(self.states) if n.startswith(CONSTANT_PREFIX)}
 
 
 @dataclass(frozen=True)

@@ -37,11 +37,11 @@ MAX_DEFAULT = 1.0  # |λ|·h for keeping the default substep: R is within 2 % of
 MAX_CHOSEN = 0.5  # |λ|·h of a chosen substep: R is within 0.05 % of exp(λh), and fits may move λ
 MOST_SUBSTEPS = 100  # RK4 substeps per `rate`; a model with more is stiff
 LEAST_STIFF = 8  # implicit substeps per row
-FOLLOWED = 10.0  # |λ| times a row up to which the implicit method resolves a mode; faster modes decay within a row
+MAX_RESOLVED = 10.0  # |λ| times a row up to which the implicit method resolves a mode; faster modes decay within a row
 DEAD = 5.0  # -Re(λ) times a row after which a mode has decayed to 0.7 %
 GROWTH = 1e-9  # tolerance of |R| above 1
-POINTS = 500  # of a log for computing eigenvalues
-MAX_ROWS = 20_000  # of a log for running the model
+EIGENVALUE_POINTS = 500  # of a log for computing eigenvalues
+MAX_LOG_ROWS = 20_000  # of a log for running the model
 
 
 @dataclass(frozen=True)
@@ -129,10 +129,10 @@ class _Fastest:
 
     def along(self, log: RunLog) -> StateMode:
         """Return the fastest mode of the model at points of a log."""
-        every = max(1, min(len(log.time), MAX_ROWS) // POINTS)
+        every = max(1, min(len(log.time), MAX_LOG_ROWS) // EIGENVALUE_POINTS)
         commands, model = command_rows(self.model, log), self.model
         stepper, fastest = Stepper(model), self.at_start()
-        for k, _, moment in islice(moments(stepper, log), 0, MAX_ROWS):
+        for k, _, moment in islice(moments(stepper, log), 0, MAX_LOG_ROWS):
             if k % every:
                 continue
             mode = self._at(moment.state, commands[k], moment.t, f"at t = {moment.t:.6g} s of {log.path.name}")
@@ -156,7 +156,7 @@ class _Fastest:
     def stiff_substep(self) -> float:
         """Return the longest accurate implicit substep [s]."""
         z = self.row * np.abs(np.concatenate([np.zeros(1), *self.eigenvalues]))
-        return self.row / max(LEAST_STIFF, math.ceil(float(z[z <= FOLLOWED].max()) / MAX_CHOSEN))
+        return self.row / max(LEAST_STIFF, math.ceil(float(z[z <= MAX_RESOLVED].max()) / MAX_CHOSEN))
 
     def _at(self, state: Values, command: Values, t: float, place: str) -> StateMode:
         """Return the fastest mode at a point, with the state of the largest participation.

@@ -25,7 +25,7 @@ from cosim.files.cache import cache_environment, cache_path
 # errno after sin and pow is never read
 OPTIONS = ("-std=c99", "-O3", "-fno-math-errno", "-ffp-contract=off", "-shared")
 POSITION = [] if sys.platform == "win32" else ["-fPIC"]  # option for code of libraries on this machine
-LIMIT = 900.0  # time limit of the compiler [s]
+COMPILER_TIMEOUT_S = 900.0  # time limit of the compiler [s]
 ZIG = "ziglang"  # C compiler for every platform, on PyPI
 # library headers with plain names: Linux, Windows; with packed names: macOS
 PLAIN, PACKED = (b"\x7fELF", b"MZ"), (b"\xcf\xfa\xed\xfe", b"\xca\xfe\xba\xbe")
@@ -166,7 +166,7 @@ def library_of(
     exports: Sequence[str] = (),
     *,
     libraries: Sequence[str] = ("-lm",),
-    limit: float = LIMIT,
+    limit: float = COMPILER_TIMEOUT_S,
 ) -> Path:
     """Return the cached path of a compiled shared library.
 

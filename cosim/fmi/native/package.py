@@ -53,7 +53,7 @@ class Native:
 
 SIZES = ("STATES", "MEMORIES", "KINKS", "RANGES", "EFFECTS", "OWN", "EXCHANGE")
 FOLDER = Path(__file__).resolve().parent
-COMMON = ("floating.h", "near.h", "rk4.h", "stiff.h", "model.h", "instance.c", "fmi.c")
+COMMON_SOURCES = ("floating.h", "near.h", "rk4.h", "stiff.h", "model.h", "instance.c", "fmi.c")
 EXPORTS = {
     2: ("fmi2Instantiate", "fmi2DoStep", "fmi2GetReal"),
     3: ("fmi3InstantiateCoSimulation", "fmi3DoStep", "fmi3GetFloat64"),
@@ -172,7 +172,7 @@ def build_native(native: Native, path: Path, fmi: int = 2, platforms: Sequence[s
         "all.c": (head + "".join(f'#include "{name}"\n' for name in order)).encode(),
         "model.c": f'#include "model.h"\n\n{tables}\n{native.body}'.encode(),
         **native.parts,
-        **{name: part(name) for name in (*COMMON, layer)},
+        **{name: part(name) for name in (*COMMON_SOURCES, layer)},
         **{file.name: file.read_text(encoding="utf-8").encode() for file in headers},  # lines end with LF
         "config.h": config(""),
     }

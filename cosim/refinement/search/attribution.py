@@ -38,8 +38,8 @@ from cosim.refinement.decision.posterior import (
     posterior,
 )
 from cosim.refinement.search.fits import (
+    FITTED_WITHIN_NATS,
     HOPE,
-    NEAR,
     Hypothesis,
     Parts,
     Progress,
@@ -300,12 +300,12 @@ class Attributor(Search):
                 for start in self._neighbours(h, kappa):
                     starts.setdefault(key_of(start[0]), start)
             best = ended[ranked[0]]
-            near = [h for h in self.tried.values() if not h.ended and h.score - best.score < NEAR * kappa]
+            near = [h for h in self.tried.values() if not h.ended and h.score - best.score < FITTED_WITHIN_NATS * kappa]
             for h in sorted(near, key=lambda h: h.score)[:BREADTH]:
                 starts[h.key] = h.candidates, h.fit
             untried = [s for key, s in starts.items() if not (key in self.tried and self.tried[key].ended)]
-            untried += self._without_idle_parts(best.score + NEAR * kappa)
-            untried += self._worse_than_their_parts(best.score + NEAR * kappa)
+            untried += self._without_idle_parts(best.score + FITTED_WITHIN_NATS * kappa)
+            untried += self._worse_than_their_parts(best.score + FITTED_WITHIN_NATS * kappa)
             if not untried:
                 return
             self.fit_to_the_end(untried)
