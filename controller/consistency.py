@@ -41,7 +41,7 @@ from plant.hovercraft import Hovercraft
 
 TEMPLATE = Path(__file__).with_name("templates") / "consistency.html.j2"
 CONFIDENCE_LEVEL = 0.95
-SIDE = 0.5 * (1.0 - CONFIDENCE_LEVEL)  # expected share of times on either side of their region
+SIDE_SHARE = 0.5 * (1.0 - CONFIDENCE_LEVEL)  # expected share of times on either side of their region
 HALF = 0.25 * (1.0 - CONFIDENCE_LEVEL)  # tail probability on each side of each of the two tests
 CONSISTENT, OPTIMISTIC, PESSIMISTIC = "consistent", "optimistic", "pessimistic"
 BOTH = f"{OPTIMISTIC} and {PESSIMISTIC}"
@@ -117,7 +117,7 @@ def consistency_of(squares: Array, degrees: int, *, white: bool = False) -> Cons
         low, high = chi2.ppf([tail, 1.0 - tail], number * degrees) / number
         return float(low), float(high)
 
-    low, high = range_of_mean(runs, SIDE)
+    low, high = range_of_mean(runs, SIDE_SHARE)
     at_times = squares.mean(axis=0)
     if white:
         region, times = range_of_mean(squares.size, HALF), float(count)
@@ -125,7 +125,7 @@ def consistency_of(squares: Array, degrees: int, *, white: bool = False) -> Cons
         off = float(t.ppf(1.0 - HALF, runs - 1) * squares.mean(axis=1).std(ddof=1) / math.sqrt(runs))
         region, times = (degrees - off, degrees + off), independent_times(squares)
     rest = max(times - 1.0, 1e-6)  # beta distribution with this mean and the variance p·(1 − p)/times
-    most = float(beta.ppf(1.0 - HALF, SIDE * rest, (1.0 - SIDE) * rest))
+    most = float(beta.ppf(1.0 - HALF, SIDE_SHARE * rest, (1.0 - SIDE_SHARE) * rest))
     above, below = float(np.mean(at_times > high)), float(np.mean(at_times < low))
     return Consistency(degrees, runs, float(squares.mean()), region, above, below, most, times, at_times, (low, high))
 
@@ -146,13 +146,13 @@ def independent_times(squares: Array) -> float:
     # ∫₀^asin ρ exp(−c²/(1 + sin θ)) dθ/2π
     angle = np.linspace(-0.5 * math.pi, 0.5 * math.pi, 2001)
     with np.errstate(divide="ignore"):
-        density = np.exp(-(norm.ppf(SIDE) ** 2) / (1.0 + np.sin(angle))) / (2.0 * math.pi)
+        density = np.exp(-(norm.ppf(SIDE_SHARE) ** 2) / (1.0 + np.sin(angle))) / (2.0 * math.pi)
     integral = cumulative_simpson(density, x=angle, initial=0.0)
     grid, covariance = np.sin(angle), integral - integral[1000]
     total = sum(
         np.interp(z[:, k : k + ROWS_AT_ONCE].T @ z, grid, covariance).sum() for k in range(0, z.shape[1], ROWS_AT_ONCE)
     )
-    return float(np.clip(SIDE * (1.0 - SIDE) * z.shape[1] ** 2 / max(total, 1e-300), 1.0, z.shape[1]))
+    return float(np.clip(SIDE_SHARE * (1.0 - SIDE_SHARE) * z.shape[1] ** 2 / max(total, 1e-300), 1.0, z.shape[1]))
 
 
 class ConsistencyRow(NamedTuple):

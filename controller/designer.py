@@ -41,12 +41,12 @@ from plant.hovercraft import Hovercraft
 Controller = Literal[
     "controller.fmu", "controller-pole.fmu", "controller-lqi.fmu", "controller-mpc.fmu", "controller-ltv-mpc.fmu"
 ]
-LQR, PLACED, INTEGRAL, PREDICTIVE, TIME_VARIANT = get_args(Controller)
+LQR, PLACED, WITH_INTEGRAL, PREDICTIVE, TIME_VARIANT = get_args(Controller)
 Place = tuple[str | int, ...]
 SETTINGS: Mapping[str, type[Settings]] = {
     LQR: Settings,
     PLACED: Settings,
-    INTEGRAL: IntegralSettings,
+    WITH_INTEGRAL: IntegralSettings,
     PREDICTIVE: PredictiveSettings,
     TIME_VARIANT: TimeVariantSettings,
 }
@@ -180,7 +180,7 @@ def controller_starts(
         if name == PLACED:
             K = placed_gain(settings, [*map(complex, options["poles"])])
         else:
-            K = lqr_gain(settings, options["Q"], options["R"], options["Q_integral"] if name == INTEGRAL else ())
+            K = lqr_gain(settings, options["Q"], options["R"], options["Q_integral"] if name == WITH_INTEGRAL else ())
     except ValueError as error:
         return values, [(_place_of("forward", options, name)[:1], str(error))], []
     values |= {f"k_{i + 1}_{j + 1}": float(gain) for (i, j), gain in np.ndenumerate(K)}

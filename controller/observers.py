@@ -25,7 +25,7 @@ from cosim.model import Moment, Stepper
 from plant.hovercraft import Hovercraft
 
 ESTIMATED_STATES = ("x", "vx", "psi", "psi_dot")
-SIZE, AT = len(PLANT_STATES), PLANT_STATES.index
+PLANT_SIZE, AT = len(PLANT_STATES), PLANT_STATES.index
 # x_world and y_world repeat x and y without weight, so predictive control predicts twelve of fourteen states.
 PREDICTED = [k for k, name in enumerate(PLANT_STATES) if not name.endswith("_world")]
 PREDICTED_STATES = [PLANT_STATES[k] for k in PREDICTED]
@@ -256,7 +256,7 @@ class Slopes:
         entries: list[Any] = [0.0] * len(places)
         with np.errstate(divide="ignore", over="ignore", invalid="ignore"):  # both sides of branches are computed
             function(0.0, tuple(states.T), tuple(commands.T), self.numbers, entries)
-        rows, columns = 1 if name == "output" else SIZE, (commands if name == "command" else states).shape[1]
+        rows, columns = 1 if name == "output" else PLANT_SIZE, (commands if name == "command" else states).shape[1]
         matrices = np.zeros((len(states), rows, columns))
         for (row, column), entry in zip(places, entries, strict=True):
             matrices[:, row, column] = entry
@@ -265,7 +265,7 @@ class Slopes:
 
 def carried(psi: float) -> Matrix:
     """Return G (14, 14), which transfers noise from craft to world axes."""
-    G, s, c = np.eye(SIZE), math.sin(psi), math.cos(psi)
+    G, s, c = np.eye(PLANT_SIZE), math.sin(psi), math.cos(psi)
     G[np.ix_([AT("x_world"), AT("y_world")], [AT("x"), AT("y")])] = (c, s), (s, -c)
     return G
 
@@ -294,8 +294,8 @@ class ExtendedFilter(Estimator):
     ) -> None:
         self.settings, self.slopes, self.stepper = settings, Slopes(model, jacobians), Stepper(model)
         self.sensors = [[q.name for q in model.outputs].index(name) for name in SENSED]
-        self.filter = kf = ExtendedKalmanFilter(SIZE, len(SENSED))
-        kf.x, kf.P = np.array(model.start(start), dtype=float), np.zeros((SIZE, SIZE))
+        self.filter = kf = ExtendedKalmanFilter(PLANT_SIZE, len(SENSED))
+        kf.x, kf.P = np.array(model.start(start), dtype=float), np.zeros((PLANT_SIZE, PLANT_SIZE))
         self.noise = np.diag(variances_of(settings, "process", PLANT_STATES))
         kf.R = np.diag(variances_of(settings, "measurement", SENSED))
         self.fixed = [AT(name) for name in AXES[settings.axes]]
@@ -307,11 +307,11 @@ class ExtendedFilter(Estimator):
         kf, dt, self.command = self.filter, self.settings.sample_time, tuple(command)
         A = dt * self.slope("state")
         A2, G = A @ A, carried(float(kf.x[AT("psi")]))
-        F = np.eye(SIZE) + A + A2 / 2.0 + A2 @ A / 6.0 + A2 @ A2 / 24.0
+        F = np.eye(PLANT_SIZE) + A + A2 / 2.0 + A2 @ A / 6.0 + A2 @ A2 / 24.0
         kf.x = np.array(self.stepper.step(Moment(0.0, tuple(kf.x.tolist())), self.command, dt).state)
         kf.P = F @ kf.P @ F.T + G @ self.noise @ G.T
 
-        H = np.zeros((3, SIZE))
+        H = np.zeros((3, PLANT_SIZE))
         H[0, AT("psi")] = H[1, AT("psi_dot")] = 1.0
         H[2] = self.slope("output")[0]
         self.nis = self.update(measured, lambda _: H, self.sensed)
@@ -324,7 +324,7 @@ class ExtendedFilter(Estimator):
             rate = self.stepper.derivative(0.0, tuple(x.tolist()), self.command)
             return np.array([x[k] - latency * rate[k] for k in self.fixed])
 
-        H = (np.eye(SIZE) - latency * self.slope("state"))[self.fixed]
+        H = (np.eye(PLANT_SIZE) - latency * self.slope("state"))[self.fixed]
         self.fix_nis = self.update(position, lambda _: H, located, self.fix_noise)
 
     def slope(self, name: str) -> Matrix:

@@ -144,8 +144,8 @@ class Settings(FilterSettings):
 
 # Gains of the poles -2, -4, -11 (forward) and -4, -5 rad/s (turn), and of the LQR with integral weights 0.3 and 0.05.
 # Tests repeat the design.
-PLACED = (1.098053097345133, 0.8497106634030005, 0.2389282086946114, 0.10751769391257515, 0.06654667040403645)
-WITH_INTEGRAL = (1.065117707211288, 0.7494112674097084, 0.2908023505812724, 0.10930731206491429, 0.05538288175826896)
+PLACED_GAINS = (1.098053097345133, 0.8497106634030005, 0.2389282086946114, 0.10751769391257515, 0.06654667040403645)
+INTEGRAL_GAINS = (1.065117707211288, 0.7494112674097084, 0.2908023505812724, 0.10930731206491429, 0.05538288175826896)
 OF_X_INTEGRAL, OF_PSI_INTEGRAL = 0.3872983346207414, 0.15811388300841878
 
 
@@ -161,7 +161,7 @@ def mirrored(row: Numbers) -> dict[str, Any]:
     return dict(zip(GAINS, (*row, *left), strict=True))
 
 
-PLACED_SETTINGS = Settings(**mirrored(PLACED))
+PLACED_SETTINGS = Settings(**mirrored(PLACED_GAINS))
 
 
 @frozen
@@ -176,7 +176,7 @@ class IntegralSettings(Settings):
     k_2_7: float = gain(-OF_PSI_INTEGRAL, "left", "the integral of psi", "")
 
 
-INTEGRAL_SETTINGS = IntegralSettings(**mirrored(WITH_INTEGRAL))
+INTEGRAL_SETTINGS = IntegralSettings(**mirrored(INTEGRAL_GAINS))
 
 
 @frozen
@@ -265,7 +265,7 @@ class ExtendedSettings(Noise):
 
 # The equations are assumed accurate to 1 % of a propeller's thrust, 25 mN at its arm, independently at each sample of
 # 0.02 s: (0.025 N/m·Δt)², (0.025 N·L/I·Δt)². Positions and angles follow exactly from their rates.
-PUSH, TURN, ROLL = 5e-7, 7e-5, 8.4e-5
+PUSH_VARIANCE, TURN_VARIANCE, ROLL_VARIANCE = 5e-7, 7e-5, 8.4e-5
 
 
 def equation_noise(default: float, unit: str, of: str) -> Any:
@@ -293,11 +293,11 @@ class TimeVariantSettings(PredictionSettings, ExtendedSettings):
     process_variance_x: float = equation_noise(0.0, "m2", "x")
     process_variance_y: float = equation_noise(0.0, "m2", "y")
     process_variance_psi: float = equation_noise(0.0, "rad2", "psi")
-    process_variance_vx: float = equation_noise(PUSH, "m2/s2", "vx")
-    process_variance_vy: float = equation_noise(PUSH, "m2/s2", "vy")
-    process_variance_psi_dot: float = equation_noise(TURN, "rad2/s2", "psi_dot")
+    process_variance_vx: float = equation_noise(PUSH_VARIANCE, "m2/s2", "vx")
+    process_variance_vy: float = equation_noise(PUSH_VARIANCE, "m2/s2", "vy")
+    process_variance_psi_dot: float = equation_noise(TURN_VARIANCE, "rad2/s2", "psi_dot")
     process_variance_phi: float = equation_noise(0.0, "rad2", "phi")
-    process_variance_phi_dot: float = equation_noise(ROLL, "rad2/s2", "phi_dot")
+    process_variance_phi_dot: float = equation_noise(ROLL_VARIANCE, "rad2/s2", "phi_dot")
 
     estimator: str = "extended"
 

@@ -107,13 +107,13 @@ def controller_ports(settings: Settings, *more: Port) -> tuple[Port, ...]:
 
 START_NAMES = tuple(port.name for port in START_PORTS)
 # Dependencies of outputs at a sample. The axes are decoupled; of the inputs, only a fix changes the covariance.
-FORWARD, TURN = ("ax", "x_meas", "fix"), ("psi", "psi_dot")
-TILT_DEPENDENCIES = (*TURN, *FORWARD, "x_ref", "psi_ref")
+FORWARD_DEPENDENCIES, TURN_DEPENDENCIES = ("ax", "x_meas", "fix"), ("psi", "psi_dot")
+TILT_DEPENDENCIES = (*TURN_DEPENDENCIES, *FORWARD_DEPENDENCIES, "x_ref", "psi_ref")
 DEPENDENCIES: Dependencies = {
     **dict.fromkeys(("duty_right", "duty_left", "psi_sigma"), ()),
     **dict.fromkeys(("tilt_right", "tilt_left"), TILT_DEPENDENCIES),
-    **dict.fromkeys(("x_hat", "vx_hat", "a_hat"), FORWARD),
-    **dict.fromkeys(("psi_hat", "psi_dot_hat"), TURN),
+    **dict.fromkeys(("x_hat", "vx_hat", "a_hat"), FORWARD_DEPENDENCIES),
+    **dict.fromkeys(("psi_hat", "psi_dot_hat"), TURN_DEPENDENCIES),
     "x_sigma": ("fix",),
 }
 # Dependencies in initialization mode, without filter update and with P = 0.

@@ -96,7 +96,7 @@ def table(path: Path, rows: int) -> Results:
 def stored(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> bool:
     """Read small tables as they are, or convert them too."""
     if request.param:
-        monkeypatch.setattr(tables, "SMALL", 0)
+        monkeypatch.setattr(tables, "MAX_MEMORY_BYTES", 0)
     return bool(request.param)
 
 
@@ -118,7 +118,7 @@ def test_a_converted_table_gives_what_memory_gives(
 def test_a_changed_table_is_converted_again_and_old_conversions_are_removed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(tables, "SMALL", 0)
+    monkeypatch.setattr(tables, "MAX_MEMORY_BYTES", 0)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     path, cache = tmp_path / "results.csv", tmp_path / "cache" / "cosim" / "view"
     table(path, 5000)
@@ -260,7 +260,7 @@ def test_points_values_planes_and_tables_come_from_the_server(page: tuple[Served
 @pytest.mark.parametrize("small", [True, False])
 def test_columns_of_a_table_are_named_by_the_user(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, small: bool) -> None:
     if not small:
-        monkeypatch.setattr(tables, "SMALL", 0)
+        monkeypatch.setattr(tables, "MAX_MEMORY_BYTES", 0)
     (tmp_path / "a.csv").write_text("count,stamp,v [m]\n7,0,1\n7,1,2\n7,2,3\n")
     run = RunPlace("a", "a", tmp_path / "a.csv", columns={"stamp": "time", "v": "speed"})
     rows = ViewedRun(run).rows

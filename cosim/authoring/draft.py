@@ -30,7 +30,7 @@ from cosim.scenario.start_values import settable
 from cosim.system.events import default_block
 from cosim.system.system import System, build_system
 
-STOP, STEPS = 1.0, 500  # defaults if the FMUs declare none: duration [s], number of steps
+GUESSED_STOP_S, GUESSED_STEPS = 1.0, 500  # defaults if the FMUs declare none: duration [s], number of steps
 SPELLING = str.maketrans({"ä": "ae", "ö": "oe", "ü": "ue", "ß": "ss"})
 MAX_NAME_LENGTH = 24  # characters of a component's name, which precedes every signal
 MAX_FIRST_RUN_STEPS = 20_000  # maximum number of steps of a first run, so that it is short
@@ -146,7 +146,7 @@ def times_of(
     if start is None:
         start = min((e.get("start", 0.0) for e in experiments.values()), default=0.0)
     ends = {name: e["stop"] for name, e in experiments.items() if e.get("stop", start) > start}
-    duration, why_duration = STOP, "a guess; no FMU declares a duration"
+    duration, why_duration = GUESSED_STOP_S, "a guess; no FMU declares a duration"
     if stop is not None:
         duration, why_duration = difference(stop, start), "given"
     elif ends:
@@ -162,7 +162,7 @@ def times_of(
     elif usual_step is not None:
         h, why_step = min(usual_step, duration), "the typical spacing of its rows"
     else:  # rounded down to 1, 2 or 5 × 10^n
-        why_step, guess = "a guess; no FMU declares a step", duration / STEPS
+        why_step, guess = "a guess; no FMU declares a step", duration / GUESSED_STEPS
         power = 10.0 ** math.floor(math.log10(guess) + 1e-9)
         h = float(f"{max(m * power for m in (1, 2, 5) if m * power <= guess * (1 + 1e-9)):.12g}")
     if step is not None and h > duration * (1 + STEP_COUNT_TOLERANCE):

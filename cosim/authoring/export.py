@@ -30,7 +30,7 @@ from cosim.simulation.packaged import IMPORTERS
 from cosim.ssp.write import SspConnector, SspFmu, Value, Whole, defined_units, write_ssp
 from cosim.system.system import System, build_system
 
-IDENTITY = (1.0, 0.0)  # factor and offset
+NO_CONVERSION = (1.0, 0.0)  # factor and offset
 PORTABLE_TYPES = ("Real", "Integer", "Boolean")  # types connected by all importing tools
 
 
@@ -87,14 +87,14 @@ def export_ssp(
         for c in s.connections:
             source, output, component, input_ = c.ends
             first, last, linear = (source, output), (component, input_), conversions[c.target]
-            if linear != IDENTITY:
+            if linear != NO_CONVERSION:
                 converted.append(c.target)
-            if linear != IDENTITY and insert_gains:
+            if linear != NO_CONVERSION and insert_gains:
                 gain = f"gain_{component}_{input_}"
                 units_of_ends = system.signals[c.source].unit, system.signals[c.target].unit
                 models.append(_gain(file, gain, linear, units_of_ends, folder))
-                ends.append((first, (gain, "u"), IDENTITY))
-                first, linear = (gain, "y"), IDENTITY
+                ends.append((first, (gain, "u"), NO_CONVERSION))
+                first, linear = (gain, "y"), NO_CONVERSION
             ends.append((first, last, linear))
         descriptions = {name: description for name, (_, description) in system.fmus.items()}
         units = defined_units((descriptions.get(m.name), port.unit) for m in models for port in m.ports)

@@ -53,7 +53,7 @@ DO_STEP_TYPES = {
 }
 Step = Callable[[Any, float, float, int], int]
 Listen = Callable[[int, bytes | None], None]  # status and message
-STATUS = ("OK", "Warning", "Discard", "Error", "Fatal", "Pending")
+STATUS_NAMES = ("OK", "Warning", "Discard", "Error", "Fatal", "Pending")
 WARNING, DISCARD, FATAL = 1, 2, 4
 LONGEST_MESSAGE = 1000  # characters
 KEPT_FIRST, KEPT_LAST = 50, 50  # messages
@@ -450,7 +450,7 @@ class Instance:
             )
         if status == FATAL:  # FMI demands to abandon the instance.
             self.fmu = None
-        words, name = self.last_words(), STATUS[status] if 0 <= status < len(STATUS) else status
+        words, name = self.last_words(), STATUS_NAMES[status] if 0 <= status < len(STATUS_NAMES) else status
         if "KeyboardInterrupt" in words:  # Ctrl-C arrived while the FMU's Python code ran.
             raise KeyboardInterrupt
         because = f": {words}" if words else ""

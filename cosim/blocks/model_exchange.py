@@ -31,12 +31,12 @@ EVENTS_NOT_SEPARATED = (
 DEFAULT_TOLERANCE = 1e-5  # relative tolerance by default, as in FMPy
 MIN_SOLVER_STEPS = 50  # largest solver step as a fraction 1/50 of the whole time, as in FMPy
 MOST_EVENTS = 1000  # discrete updates at a time, or immediately consecutive events
-AT_ONCE = 1e-6  # fraction of a communication step; MOST_EVENTS within it is chattering
+CHATTERING_SHARE = 1e-6  # fraction of a communication step; MOST_EVENTS within it is chattering
 NO_VARIABLE = 2**32 - 1  # FMI 1.0's value reference of a state without variable
-SEPARABLE = 10_000  # multiples of the spacing of doubles between two events; CVODE locates each within 100
-SHORTENED = 0.25  # share of a solver step that is tried if it does not separate two events
-EVER_FASTER = 4  # spans between crossings of an indicator that are each shorter than the one before
-STRAIGHT = 0.1  # share of a solver step over which an indicator moves along its slope, as CVODE assumes after an event
+MIN_EVENT_SPACINGS = 10_000  # multiples of the spacing of doubles between two events; CVODE locates each within 100
+RETRY_STEP_SHARE = 0.25  # share of a solver step that is tried if it does not separate two events
+SHRINKING_SPANS = 4  # spans between crossings of an indicator that are each shorter than the one before
+STRAIGHT_SHARE = 0.1  # of a solver step, in which an indicator follows its slope, as CVODE assumes after an event
 
 
 class ModelExchange(Instance):
@@ -242,11 +242,11 @@ class ModelExchange(Instance):
             reached, length = (float(time), self.save_state()[1]), self.solver.last_step
             ends = self._indicators(*reached)
             if is_first:
-                ahead = self._ahead(saved, slopes, STRAIGHT * length)
+                ahead = self._ahead(saved, slopes, STRAIGHT_SHARE * length)
                 hidden = {k for k in range(len(ends)) if _is_hidden(begins[k], ahead[k], ends[k], was=k in hidden)}
             if event:
                 self._place(*reached)
-                ahead = self._ahead(reached, self._rates(), STRAIGHT * length)
+                ahead = self._ahead(reached, self._rates(), STRAIGHT_SHARE * length)
                 ways = [root * (z - end) for root, z, end in zip(roots, ahead, ends, strict=True)]
                 false = {k for k, way in enumerate(ways) if way < 0.0 or (k in false and roots[k] and way == 0.0)}
             if not (hidden or (event and false)):
@@ -255,21 +255,21 @@ class ModelExchange(Instance):
                     self._note_crossings(roots, reached[0], spacing)
                 return bool(event), reached[0]
             self._place(*saved)
-            if SHORTENED * length <= SEPARABLE * spacing:
+            if RETRY_STEP_SHARE * length <= MIN_EVENT_SPACINGS * spacing:
                 fields = {"span": length, "number": min(hidden | false) + 1}
                 raise SimulationError(self.name, self.reached, EVENTS_NOT_SEPARATED.format(**fields))
             self._shortened += 1
-            self.solver.reset(self.reached, SHORTENED * length)
+            self.solver.reset(self.reached, RETRY_STEP_SHARE * length)
 
     def _note_crossings(self, roots: Sequence[int], time: float, spacing: float) -> None:
         """Note the time of crossings; raise SimulationError if they come ever faster, too fast for the solver."""
         for crossing in ((k, root) for k, root in enumerate(roots) if root):
-            last = self._crossings.setdefault(crossing, deque(maxlen=EVER_FASTER + 1))
+            last = self._crossings.setdefault(crossing, deque(maxlen=SHRINKING_SPANS + 1))
             last.append((time, self._shortened))
             spans = [b[0] - a[0] for a, b in pairwise(last)]
-            if len(spans) < EVER_FASTER or any(b >= a for a, b in pairwise(spans)):
+            if len(spans) < SHRINKING_SPANS or any(b >= a for a, b in pairwise(spans)):
                 continue
-            if spans[0] <= SEPARABLE * spacing or all(b[1] > a[1] for a, b in pairwise(last)):
+            if spans[0] <= MIN_EVENT_SPACINGS * spacing or all(b[1] > a[1] for a, b in pairwise(last)):
                 fault = EVENTS_NOT_SEPARATED.format(span=spans[-1], number=crossing[0] + 1)
                 raise SimulationError(self.name, self.reached, fault)
 
@@ -316,8 +316,9 @@ class ModelExchange(Instance):
         cause, self.cause = self.cause, ""
         self.event_counts[cause] += 1
         self._events.append(self.reached)
-        if len(self._events) == self._events.maxlen and self._events[-1] - self._events[0] <= AT_ONCE * h:
-            fault = f"it chatters: {len(self._events)} events within {AT_ONCE * h:.2g} s, so that time stands still"
+        if len(self._events) == self._events.maxlen and self._events[-1] - self._events[0] <= CHATTERING_SHARE * h:
+            span = f"{CHATTERING_SHARE * h:.2g} s"
+            fault = f"it chatters: {len(self._events)} events within {span}, so that time stands still"
             raise SimulationError(self.name, self.reached, fault)
         before = self._point() if cause == "step" else None
         self.event()

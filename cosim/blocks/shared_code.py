@@ -89,14 +89,15 @@ def _read(content: bytes, with_symbols: bool) -> ElfLibrary:
 
 
 # files of this system's libraries, and words in their folders, of FMI 1.0, 2.0 and 3.0
-ENDING, WORDS = {"Windows": (r"\.dll", ("win", "windows")), "Darwin": (r"\.dylib|\.so", ("darwin",))}.get(
-    platform.system(), (r"\.so(\.\d+)*", ("linux",))
-)
-LIBRARY = re.compile(rf".*({ENDING})", re.IGNORECASE)
+LIBRARY_ENDING, PLATFORM_WORDS = {
+    "Windows": (r"\.dll", ("win", "windows")),
+    "Darwin": (r"\.dylib|\.so", ("darwin",)),
+}.get(platform.system(), (r"\.so(\.\d+)*", ("linux",)))
+LIBRARY = re.compile(rf".*({LIBRARY_ENDING})", re.IGNORECASE)
 PLATFORM = re.compile(r"(?:^|/)binaries/([^/]+)/")
-RESOURCES = re.compile(r"(?:resources/original/)*resources/(?P<name>(?P<top>[^/.]+)[^/]*(?P<rest>/.*)?)")
+RESOURCE_FILE = re.compile(r"(?:resources/original/)*resources/(?P<name>(?P<top>[^/.]+)[^/]*(?P<rest>/.*)?)")
 IDENTIFIER = re.compile(rb'modelIdentifier\s*=\s*"([^"]*)"')
-CODE = (".py", ".pyc", ".pyd", ".so")
+CODE_ENDINGS = (".py", ".pyc", ".pyd", ".so")
 NAME_OF_SLAVE = "slavemodule.txt"  # of pythonfmu, no data of a module
 OF_STD = re.compile(r"_Z(G[VR]|T[ISVT])?[ZNK]*S[tabsiod]")  # symbols of the C++ library, equal in all of its builds
 OF_SYSTEM = re.compile(r"(lib(c|m|dl|pthread|rt|gcc_s|stdc\+\+|atomic)|ld-linux[\w-]*)\.so")  # without data of FMUs
@@ -153,7 +154,7 @@ def _code_of(path: Path, _changed: int, _size: int) -> Code:
         versions = {*VERSION_FUNCTIONS, *(f"{identifier}_fmiGetVersion" for identifier in own)}
         for info in files:
             folder = PLATFORM.findall(info.filename)
-            is_of_here = not folder or any(word in folder[-1] for word in WORDS)
+            is_of_here = not folder or any(word in folder[-1] for word in PLATFORM_WORDS)
             if not (is_of_here and LIBRARY.fullmatch(info.filename)):
                 continue
             name, digest = PurePosixPath(info.filename).name, _digest(info)
@@ -182,9 +183,9 @@ def _modules(files: Iterable[tuple[str, str]]) -> dict[str, str]:
     """Return the Python modules in the resources, each with the digests of its files and of the data beside it."""
     parts: dict[str, list[tuple[str, str]]] = {}
     for name, digest in files:
-        if (match := RESOURCES.fullmatch(name)) and match["name"] != NAME_OF_SLAVE:
+        if (match := RESOURCE_FILE.fullmatch(name)) and match["name"] != NAME_OF_SLAVE:
             parts.setdefault(match["top"], []).append((match["name"], digest))
-    modules = {top: part for top, part in parts.items() if any(n.endswith(CODE) for n, _ in part)}
+    modules = {top: part for top, part in parts.items() if any(n.endswith(CODE_ENDINGS) for n, _ in part)}
     data = [entry for top, part in parts.items() if top not in modules for entry in part]
     if not any(n.endswith(".py") for part in modules.values() for n, _ in part):
         return {}

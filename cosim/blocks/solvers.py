@@ -11,6 +11,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, Literal
 
+from cosim.blocks.instance import DISCARD
 from cosim.fmi.native.compiler import CompilerFailed, NoCompiler, load_library
 
 NO_STEP_WITHIN_TOLERANCE = (
@@ -21,7 +22,6 @@ TOO_MANY_SOLVER_STEPS = (
     "shorten the step{other}, or check whether a state grows without bound"
 )
 
-DISCARD = 2
 DOUBLES = ctypes.POINTER(ctypes.c_double)
 Solver = Literal["cvode", "solve_ivp"]
 REFUSALS = 10  # discarded derivatives that explain a stuck solver

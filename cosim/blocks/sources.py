@@ -24,7 +24,7 @@ from cosim.core.times import rounding, roundings
 from cosim.core.units import computed_in
 from cosim.files.table import Table, read_columns, source_of
 
-TEXTS = {"String", "Binary"}
+TEXT_TYPES = {"String", "Binary"}
 INTEGER_PATTERN = re.compile(r"[-+]?\d+")
 
 
@@ -171,7 +171,7 @@ def read_recording(
             if column.name in exact and not column.fault:
                 values = column.values.tolist() if isinstance(column.values, np.ndarray) else column.values
                 with suppress(ValueError):
-                    is_text = exact[column.name] in TEXTS
+                    is_text = exact[column.name] in TEXT_TYPES
                     columns[column.name] = [str(value) if is_text else _whole_number(value) for value in values]
     return read_columns(path, names, columns), columns
 

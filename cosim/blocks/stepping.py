@@ -30,7 +30,7 @@ C_TYPES = {
 C_TYPE_NAMES = ("double", "float", "int8", "uint8", "int16", "uint16", "int32", "uint32", "int64", "bool")
 # as stepping.c numbers them
 C_TYPE_NUMBERS = {getattr(ctypes, f"c_{name}"): number for number, name in enumerate(C_TYPE_NAMES)}
-BITS64, TEXT = len(C_TYPE_NAMES), len(C_TYPE_NAMES) + 1  # of values that no double holds
+BITS64, TEXT_CELL = len(C_TYPE_NAMES), len(C_TYPE_NAMES) + 1  # of values that no double holds
 
 
 class StopReason(IntEnum):
@@ -174,7 +174,7 @@ def move(function: Any, exchange: Exchange, row: Row, cells: ctypes.Array[Cell])
     pointer, finite = ctypes.cast(function, c_void_p), exchange.finite
     place, number = ctypes.addressof(row) + 8 * start, C_TYPE_NUMBERS.get(kind.ctype, BITS64)
     if kind.beside:
-        place, cell, number = 0, ctypes.addressof(cells[start]), BITS64 if kind.is_whole else TEXT
+        place, cell, number = 0, ctypes.addressof(cells[start]), BITS64 if kind.is_whole else TEXT_CELL
     return Move(pointer, references, count, scalars, values, place, kind.low, kind.high, cell, finite, number)
 
 

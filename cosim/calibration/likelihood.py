@@ -23,7 +23,7 @@ from cosim.core.errors import SimulationError
 from cosim.residuals.drive import Drive, as_columns
 from cosim.residuals.windows import first_start, free_run, self_started, sigma_of, start_parameters
 
-SMALLEST = 1e-8  # minimum standard deviation of a residual, relative to that of its channel
+MIN_NOISE_RATIO = 1e-8  # minimum standard deviation of a residual, relative to that of its channel
 UNKNOWN_STEP = 1e-2  # step of differences, relative to the scale of an unknown, above the rounding of solvers
 MAX_EVALUATIONS = 40
 # gain of a step in log-likelihood, corresponding to one standard error, after which the next step is negligible
@@ -165,7 +165,7 @@ class Likelihood:
             return None
         counts = np.asarray(sum(np.isfinite(t).sum(axis=0) for t in tables), float)
         squares = sum(np.nansum(t * t, axis=0) for t in tables)
-        sigma = np.maximum(np.sqrt(squares / np.maximum(counts, 1)), SMALLEST * self.logs.spread)
+        sigma = np.maximum(np.sqrt(squares / np.maximum(counts, 1)), MIN_NOISE_RATIO * self.logs.spread)
         cost = float(counts @ np.log(sigma)) + 0.5 * float(self.precision @ (x - self.prior) ** 2)
         point = Point(x, tables, counts, sigma, cost)
         if not np.isfinite(point.cost):
@@ -232,7 +232,7 @@ class Likelihood:
         scales, roots = np.maximum(self.scales, np.abs(begin.x)), np.sqrt(self.precision)
         low, high = (self.low - begin.x) / scales, (self.high - begin.x) / scales
         cells = sum(table.size for table in begin.tables)
-        least = (SMALLEST * self.logs.spread / begin.sigma) ** 2
+        least = (MIN_NOISE_RATIO * self.logs.spread / begin.sigma) ** 2
 
         def misses(x: Array) -> Array:
             """Return residuals in units of their initial standard deviations, and deviations from the priors."""

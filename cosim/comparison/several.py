@@ -42,13 +42,14 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-MAX_RUNS, MAX_SIGNALS, MAX_CURVES = 12, 24, 144  # largest number of drawn runs
+MAX_COMPARED_RUNS, MAX_FIGURE_SIGNALS, MAX_FIGURE_CURVES = 12, 24, 144  # largest number of drawn runs
 MAX_DRAWN = 4  # signals in a figure by default
 MOST_IN_MEMORY = 4  # number of runs above which drawn runs are read twice, to save memory
 NO_RESULTS = Results(np.zeros(0), (), np.zeros((0, 0)))
 COMPARISON_FILES = ("comparison.json", "report.html")
 NO_VERDICT: Mapping[str, Any] = {"within": None, "reasons": None, "shorter": None, "only_a": [], "only_b": []}
-LONGEST_NAME, NUMBERED = 80, "run "  # characters of the name of a folder; the beginning of the name of a numbered run
+MAX_RUN_NAME_CHARACTERS = 80  # of the name of a folder
+NUMBERED_RUN = "run "  # beginning of the name of a numbered run
 
 
 @dataclass(frozen=True)
@@ -312,12 +313,12 @@ def compare_several(
     runs = {k: replace(run, name=label) for k, run, label in zip(kept, bare, labels, strict=True)}
     named = tuple(replace(c, a=runs[baseline], b=runs[k]) for k, c in sorted(comparisons.items()))
     ranked = sorted(comparisons, key=lambda k: -max(d.share for d in comparisons[k].differences))
-    drawn = sorted([baseline, *ranked[: MAX_RUNS - 1]])
+    drawn = sorted([baseline, *ranked[: MAX_COMPARED_RUNS - 1]])
     about = tuple(runs.values()), tuple(shorts), place, named, tuple(inputs), tuple(map(kept.index, drawn))
     compared = ComparedRuns(*about, base.results.time, {}, {}, tuple(map(str, left_out)))
     numbers = base.results.with_integers()
     drawable = [n for n in compared.table if n in numbers and not (n in numbers.exact and is_rounded(numbers[n]))]
-    curves = {n: list[Array]() for n in drawable[: min(MAX_SIGNALS, MAX_CURVES // len(drawn))]}
+    curves = {n: list[Array]() for n in drawable[: min(MAX_FIGURE_SIGNALS, MAX_FIGURE_CURVES // len(drawn))]}
     for k in drawn:
         found = compare_runs(base, read(k))
         first = int(np.searchsorted(compared.time, found.time[0]))
@@ -445,9 +446,9 @@ def compare(
     comparison = compare_several(sources, place, tolerance, absolute)
     if not write:
         return comparison, Path()
-    numbers = [short.removeprefix(NUMBERED) for short in shorts]
+    numbers = [short.removeprefix(NUMBERED_RUN) for short in shorts]
     name = f"runs {'-'.join(numbers)}" if all(map(str.isdecimal, numbers)) else " and ".join(shorts)
-    if len(name) > LONGEST_NAME:
+    if len(name) > MAX_RUN_NAME_CHARACTERS:
         name = f"{shorts[0]} and {len(shorts) - 1} others"
     with new_run(folder, name, "cosim compare", force=force) as out:
         check_writable(out, COMPARISON_FILES, paths)

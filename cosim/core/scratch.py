@@ -19,7 +19,7 @@ from pathlib import Path
 
 LOCK = "in-use"
 SCRATCH_PREFIX = "cosim-"  # of each folder in the machine's temporary folder
-RETRIES, PAUSE = 10, 0.1  # [s]
+RETRIES, RETRY_PAUSE_S = 10, 0.1  # [s]
 
 
 class ScratchFolder:
@@ -87,7 +87,7 @@ def remove(folder: Path) -> None:
         shutil.rmtree(folder, ignore_errors=True)
         if not folder.exists():
             return
-        time.sleep(PAUSE)
+        time.sleep(RETRY_PAUSE_S)
 
 
 def lock_file(path: Path, *, create: bool = False) -> int | None:

@@ -28,7 +28,7 @@ class Unit(NamedTuple):
 
 # A line for each dimension in SI base units: symbols with their factors, and offsets of temperatures. Within a
 # dimension, messages offer the units in this order; a symbol without a factor is the SI unit.
-TABLE = """
+UNIT_TABLE = """
 1: 1 %=0.01
 m: m mm=1e-3 cm=1e-2 km=1e3 um=1e-6 µm=1e-6 in=0.0254
 s: s ms=1e-3 us=1e-6 µs=1e-6 ns=1e-9 min=60 h=3600
@@ -85,7 +85,7 @@ def _words(text: str) -> list[tuple[str, int]] | None:
 
 def _symbols() -> dict[str, Unit]:
     symbols: dict[str, Unit] = {}
-    for line in TABLE.strip().splitlines():
+    for line in UNIT_TABLE.strip().splitlines():
         dimension, _, units = line.partition(": ")
         exponents = {name: power for name, power in _words(dimension) or () if name != "1"}
         for text in units.split():

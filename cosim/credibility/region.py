@@ -19,8 +19,8 @@ from cosim.credibility.bands import Finite, conformal_quantile
 
 REGION_COVERAGE = 0.95  # share of the rows of a left-out part within the threshold
 REGION_PARTS = 40  # parts of all logs
-FEWEST_ROWS = 4  # of a part
-MOST_POINTS, MOST_ROWS = 1000, 20_000  # of the region, and of the logs that it is made from
+MIN_PART_ROWS = 4  # of a part
+MAX_REGION_POINTS, MAX_REGION_ROWS = 1000, 20_000  # of the region, and of the logs that it is made from
 CONSTANT_SIGNAL_RANGE = 1e-6  # of a signal's size: smaller ranges are rounding, larger changes leave a constant signal
 REPEATS = 0.99  # correlation from which a coordinate repeats another one
 DECIMALS = 3  # of a stored point
@@ -139,12 +139,12 @@ def region_of(
     tables = [_table(stretch, every, step) for stretch in stretches]
     tables = [table[np.isfinite(table).all(axis=1)] for table in tables]
     rows = sum(map(len, tables))
-    if rows < REGION_PARTS * FEWEST_ROWS:
+    if rows < REGION_PARTS * MIN_PART_ROWS:
         return Region(
-            reason=f"too few data: the region needs {REGION_PARTS * FEWEST_ROWS} rows, and the logs have {rows}"
+            reason=f"too few data: the region needs {REGION_PARTS * MIN_PART_ROWS} rows, and the logs have {rows}"
         )
-    every_nth = max(1, rows // MOST_ROWS)
-    lengths = [max(FEWEST_ROWS, round(rows / REGION_PARTS / every_nth))] * len(tables)
+    every_nth = max(1, rows // MAX_REGION_ROWS)
+    lengths = [max(MIN_PART_ROWS, round(rows / REGION_PARTS / every_nth))] * len(tables)
     blocks, first = [], 0  # numbers with a gap between logs, so that only parts of one log are neighbours
     for k, table in enumerate(tables):
         tables[k] = table = table[::every_nth]
@@ -168,7 +168,7 @@ def region_of(
         else:
             kept.append(j)
     scaled = scaled[:, kept]
-    chosen = _spread_out(scaled, MOST_POINTS)
+    chosen = _spread_out(scaled, MAX_REGION_POINTS)
     threshold = conformal_quantile(_left_out_distances(scaled, block, chosen), REGION_COVERAGE)
     if not np.isfinite(threshold):
         return Region(reason="too few data: no part of the logs can be left out")
@@ -225,12 +225,12 @@ def _left_out_distances(points: Array, block: Rows, chosen: Rows) -> list[Array]
 
 
 def distances(region: Region, stretch: Stretch) -> Distances:
-    """Return the distance of signals from a region, at rows about one step of the logs apart, or MOST_ROWS of them."""
+    """Return the distance of signals from a region, at up to MAX_REGION_ROWS rows about one step of the logs apart."""
     from scipy.spatial import cKDTree
 
     size = stretch.time.size
     usual = float(np.median(np.diff(stretch.time))) if size > 1 else 0.0
-    rows = slice(None, None, max(1, -(-size // MOST_ROWS), round(region.step / usual) if usual > 0.0 else 1))
+    rows = slice(None, None, max(1, -(-size // MAX_REGION_ROWS), round(region.step / usual) if usual > 0.0 else 1))
     known = [j for j, c in enumerate(region.coordinates) if c.signal in stretch.signals]
     missing = [c.name for c in region.coordinates if c.signal not in stretch.signals]
     if not known:

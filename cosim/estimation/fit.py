@@ -23,13 +23,13 @@ from cosim.estimation.subject.candidates import Free, own, spread
 from cosim.logs.log import NORMAL_95
 
 MAX_ITERATIONS = 30
-CONVERGED = 0.1  # NLL improvement of the last iteration; an evidence needs no exact optimum
+CONVERGED_GAIN = 0.1  # NLL improvement of the last iteration; an evidence needs no exact optimum
 DIFFERENCE = 0.01  # share of a parameter's size for differences; noise levels, in logarithms, need more
 NOISE_DIFFERENCE = 5.0 * DIFFERENCE
 LEVELS = 9  # of the unknown inputs, compared before a fit
 DAMPING = 1e-3  # of the first step; it is multiplied and divided by
-BOLDER = 10.0
-FURTHEST = 1e4  # distance in sizes from which a plateau has no end
+DAMPING_FACTOR = 10.0
+MAX_PLATEAU_DISTANCE = 1e4  # distance in sizes from which a plateau has no end
 PROMISE = 3.0  # factor on the improvement of the quadratic model before a fit is abandoned
 
 
@@ -211,7 +211,7 @@ class _Scoring:
             pace = self._move(gradient, information)
             if is_kept and not pace:
                 self.damping = damping  # the slopes are to blame
-            enough = CONVERGED * self.problem.scatter
+            enough = CONVERGED_GAIN * self.problem.scatter
             converged = pace < enough and not is_kept
             is_kept = not is_kept and pace > max(enough, 0.5 * expected)  # where a step keeps its promise
             done += 1
@@ -289,9 +289,9 @@ class _Scoring:
             scored = self._evaluate(theta)
             after = scored.nll + self._penalty(theta)
             if after < before:
-                self.theta, self.scored, self.damping = theta, scored, max(self.damping / BOLDER, DAMPING**2)
+                self.theta, self.scored, self.damping = theta, scored, max(self.damping / DAMPING_FACTOR, DAMPING**2)
                 return before - after
-            self.damping *= BOLDER
+            self.damping *= DAMPING_FACTOR
         return 0.0
 
 
@@ -320,7 +320,7 @@ def with_flat_directions(problem: Problem, f: Fit, scattered: Array) -> Fit:
 def _end_of_plateau(problem: Problem, f: Fit, x: Free, limit: float) -> float:
     """Return the value towards a limit at which the NLL has risen by ½·1.96²; the limit if it never does."""
     start = f.values[x.name]
-    furthest = float(np.clip(limit, start - FURTHEST * x.size, start + FURTHEST * x.size))
+    furthest = float(np.clip(limit, start - MAX_PLATEAU_DISTANCE * x.size, start + MAX_PLATEAU_DISTANCE * x.size))
 
     def rise(value: float) -> float:
         nll = problem.score({**f.values, x.name: value}, f.noise).nll

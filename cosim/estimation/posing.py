@@ -29,7 +29,8 @@ from cosim.logs.log import Log, slowness, surprise, white_noise
 
 MOST_DOUBLINGS = 8  # of the substeps of a fit
 MAX_SEARCH_SUBSTEPS = 2  # steps of co-simulation between rows while a search ranks candidates
-SAME, ALIKE = 0.5, 1e-5  # allowed NLL change by fewer substeps, absolute and relative to the NLL of a wrong model
+# allowed NLL change by fewer substeps, absolute and relative to the NLL of a wrong model
+SUBSTEP_NLL_TOLERANCE, SUBSTEP_NLL_SHARE = 0.5, 1e-5
 MAX_ERROR_GROWTH = 10.0  # growth of a start error within a shortened horizon; a horizon is too long if it happens twice
 EXPONENTIAL = 5.0  # growth over the second half of a time, from which growth is exponential; quadratic growth has 4
 STARTS_PER_STATE = 8  # simulations per log and state
@@ -157,7 +158,7 @@ def coarsen(problem: Problem, values: NamedValues | None = None) -> Problem:
     most = max(log.substeps for log in problem.logs)
     for n in (2**k for k in range((most - 1).bit_length())):
         coarse = replace(problem, logs=[replace(log, substeps=min(n, log.substeps)) for log in problem.logs])
-        if abs(coarse.score(values, noise).nll - exact) < max(SAME, ALIKE * abs(exact)):
+        if abs(coarse.score(values, noise).nll - exact) < max(SUBSTEP_NLL_TOLERANCE, SUBSTEP_NLL_SHARE * abs(exact)):
             return coarse
     return problem
 
@@ -173,7 +174,7 @@ def with_finer_steps(problem: Problem, values: NamedValues, noise: Noise) -> Pro
     for _ in range(MOST_DOUBLINGS):
         finer = replace(problem, logs=[replace(log, substeps=2 * log.substeps) for log in problem.logs])
         before, now = now, finer.score(values, noise).nll
-        if abs(now - before) < max(SAME, ALIKE * abs(now)):
+        if abs(now - before) < max(SUBSTEP_NLL_TOLERANCE, SUBSTEP_NLL_SHARE * abs(now)):
             break
         problem = finer
     return problem
@@ -310,7 +311,7 @@ def fit_growing(problem: Problem, free: Sequence[Free], start: NamedValues) -> F
 
 
 OFF = 1.5  # ratio from which a level differs from the noise; accuracy is about 10 %
-STAMPS_ERR, WILD = 5.0, 9.0  # standard deviations of the test; limit on squared innovations
+STAMPS_ERR, MAX_SQUARED_INNOVATION = 5.0, 9.0  # standard deviations of the test; limit on squared innovations
 MAX_MOTION_SHARE = 0.3  # share of a channel's level that may come from motion between rows
 
 
@@ -349,7 +350,7 @@ def erring_stamps(problem: Problem, at: Fit) -> Flags:
         with np.errstate(invalid="ignore"):
             share = np.where(readings.scored, speed**2 / s, 0.0)
             share = share - share.sum(axis=0) / np.maximum(1, readings.scored.sum(axis=0)) * readings.scored
-            squares = np.minimum(e**2 / s, WILD)  # a few outliers are no clock error
+            squares = np.minimum(e**2 / s, MAX_SQUARED_INNOVATION)  # a few outliers are no clock error
             spread = np.where(readings.scored, squares - 1.0, 0.0)
             moved = np.where(readings.scored, np.copysign(np.sqrt(squares * speed**2 / s), speed * e), 0.0)
         neighbours = moved[1:] * moved[:-1]

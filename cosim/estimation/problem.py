@@ -173,8 +173,8 @@ class Problem:
                 found[:, k] = np.interp(np.log(marks), np.log(np.maximum.accumulate(rises)), GRID)
             return found
 
-        (smallest,) = levels([SMALLEST], memory=float(np.log(self.longest_memory)))
-        quiet, plain, largest = levels([0.5 * PLAIN, PLAIN, LARGEST])
+        (smallest,) = levels([SMALLEST_RISE], memory=float(np.log(self.longest_memory)))
+        quiet, plain, largest = levels([0.5 * PLAIN_RISE, PLAIN_RISE, LARGEST_RISE])
         return NoiseRange(np.minimum(smallest, quiet), quiet, plain, largest)
 
     def _largest(self, property: str) -> Array:
@@ -463,12 +463,12 @@ class Problem:
 # Random quantities of a filter: the unknown input of each forced equation, and sensor noise.
 #
 # The range of an unknown input is measured by its effect on the innovations, so no constant here has a model's unit. An
-# input raises the innovation variance s. If the mean of ln s rises by less than SMALLEST, no log can show the input. At
-# PLAIN the input is plainly detected, and sensors still contribute.
+# input raises the innovation variance s. If the mean of ln s rises by less than SMALLEST_RISE, no log can show the
+# input. At PLAIN_RISE the input is plainly detected, and sensors still contribute.
 #
 
 
-SMALLEST, PLAIN, LARGEST = 1e-3, 0.04, 3.0
+SMALLEST_RISE, PLAIN_RISE, LARGEST_RISE = 1e-3, 0.04, 3.0
 GRID = np.arange(-60.0, 40.0, 4.0)
 
 
@@ -507,7 +507,7 @@ class Noise:
 
 @dataclass(frozen=True, eq=False)
 class NoiseRange:
-    """Log power of each unknown input at which ln s rises by SMALLEST to LARGEST, s being the innovation variance."""
+    """Log power of each unknown input at which ln s rises by SMALLEST_RISE to LARGEST_RISE; s: innovation variance."""
 
     smallest: Array
     quiet: Array

@@ -34,7 +34,7 @@ MOST_OF_FREE = 0.9  # usable fraction of the free disk space
 LOCAL_HEADER = 30  # minimum size of a file's local header [bytes]
 MOST_XML = 20_000_000  # size of a parsed file [bytes], enough for about 100 000 variables
 # XML limits: nesting, elements in total, attributes per element
-DEEPEST, MOST_ELEMENTS, MOST_ATTRIBUTES = 60, 500_000, 100
+MAX_XML_DEPTH, MAX_XML_ELEMENTS, MAX_XML_ATTRIBUTES = 60, 500_000, 100
 PACKED_BY = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED, zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA)
 DAMAGES = (zipfile.BadZipFile, zlib.error, EOFError, OSError, RuntimeError, ValueError, struct.error)
 
@@ -171,11 +171,11 @@ def check_xml(name: str, text: bytes, standard: str) -> None:
     def start(_: str, attributes: list[str]) -> None:
         nonlocal depth, count
         depth, count = depth + 1, count + 1
-        if depth > DEEPEST:
-            raise BadArchive(f"its {name} is nested more than {DEEPEST} levels deep; use fewer levels")
-        if count > MOST_ELEMENTS or len(attributes) > 2 * MOST_ATTRIBUTES:
+        if depth > MAX_XML_DEPTH:
+            raise BadArchive(f"its {name} is nested more than {MAX_XML_DEPTH} levels deep; use fewer levels")
+        if count > MAX_XML_ELEMENTS or len(attributes) > 2 * MAX_XML_ATTRIBUTES:
             raise BadArchive(
-                f"its {name} has more than the {MOST_ELEMENTS} elements with {MOST_ATTRIBUTES} attributes each "
+                f"its {name} has more than the {MAX_XML_ELEMENTS} elements with {MAX_XML_ATTRIBUTES} attributes each "
                 "that are read"
             )
 

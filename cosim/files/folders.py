@@ -23,11 +23,12 @@ from cosim.core.version import __version__
 from cosim.files.artefact import artefacts
 from cosim.files.files import FilePath, check_writable, delay_stops, named_path, open_regular, parse_json
 
-RESULTS = Path("results")
-NUMBERED = RESULTS / "NAME"  # default output folder: a new number in results/NAME, with a name chosen by the workflow
+RESULTS_FOLDER = Path("results")
+# default output folder: a new number in results/NAME, with a name chosen by the workflow
+NUMBERED = RESULTS_FOLDER / "NAME"
 RUN_NUMBER = re.compile(r"\d{4,15}")  # name of the folder of a run
 STARTED = "started.json"
-COMMAND, STATUS = "command", "status"  # keys of each record
+COMMAND_KEY, STATUS_KEY = "command", "status"  # keys of each record
 RUNNING, INTERRUPTED = "running", "interrupted"
 ELSEWHERE = "running or interrupted"  # on another machine, whose processes are unknown here
 REPLAY = "replay.json"  # stored with the rows of a replay
@@ -96,7 +97,7 @@ def new_run(out: FilePath | None, name: str, verb: str, *, force: bool = False) 
             (folder / STARTED).unlink(missing_ok=True)  # of an interrupted command
             about = {"pid": os.getpid(), "begun": psutil.Process().create_time(), "host": platform.node()}
             about |= {"schema_version": SCHEMA_VERSION, "cosim_version": __version__}
-            about |= {COMMAND: verb, STATUS: INTERRUPTED}
+            about |= {COMMAND_KEY: verb, STATUS_KEY: INTERRUPTED}
             try:
                 with (folder / STARTED).open("x", encoding="utf-8") as stream:
                     json.dump(about, stream)
@@ -116,7 +117,7 @@ def new_run(out: FilePath | None, name: str, verb: str, *, force: bool = False) 
 def runs_named(name: str) -> Path:
     """Return results/NAME with characters that are safe in shells."""
     safe = re.sub(r"\s+", "-", re.sub(r"[^\w.\-\s]+", "_", name).strip(" .")) or "run"
-    return RESULTS / safe[:100]
+    return RESULTS_FOLDER / safe[:100]
 
 
 def _new_number(runs: Path) -> Path:
@@ -243,7 +244,7 @@ def content_of(path: Path) -> dict[str, Any]:
 
 def status_in(folder: Path) -> str:
     """Return the status of an incomplete command as a phrase, else ""."""
-    status = (manifest_in(folder) or replay_record(folder) or content_of(folder / STARTED)).get(STATUS, "ok")
+    status = (manifest_in(folder) or replay_record(folder) or content_of(folder / STARTED)).get(STATUS_KEY, "ok")
     return "" if status == "ok" else f" (status: {state_of(folder) or status})"
 
 

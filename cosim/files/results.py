@@ -29,7 +29,7 @@ from cosim.files.table import (
 )
 
 EXACT_INTEGER_LIMIT = 2**53  # integers below this size are exact as doubles
-INTEGER = re.compile(r"0|-?[1-9]\d{0,19}")
+INTEGER_TEXT = re.compile(r"0|-?[1-9]\d{0,19}")
 
 
 @dataclass(frozen=True)
@@ -76,7 +76,7 @@ class Results:
         """Return results in which columns of 64-bit integers in `exact` are also in `values`, rounded to doubles."""
         found: dict[str, Array] = {}
         for name, values in self.exact.items():
-            is_whole = (INTEGER.fullmatch(v) if isinstance(v, str) else type(v) is int for v in values)
+            is_whole = (INTEGER_TEXT.fullmatch(v) if isinstance(v, str) else type(v) is int for v in values)
             if name not in self.words and len(values) and all(is_whole):
                 found[name] = np.array([float(int(value)) for value in values])
         if not found:

@@ -21,9 +21,9 @@ from cosim.core.text import amount, did_you_mean, is_difference, showing, some
 from cosim.core.version import __version__
 from cosim.files.artefact import artefacts
 from cosim.files.folders import (
-    COMMAND,
+    COMMAND_KEY,
     INTERRUPTED,
-    RESULTS,
+    RESULTS_FOLDER,
     RUN_NUMBER,
     SCHEMA_VERSION,
     STARTED,
@@ -123,7 +123,7 @@ def entries(results: Path | None = None) -> list[Entry]:
     Args:
         results: Folder of results, by default `results`.
     """
-    root = RESULTS if results is None else results
+    root = RESULTS_FOLDER if results is None else results
     by_name: dict[str, list[tuple[Entry, Mapping[str, Any]]]] = {}
     for entry, content in _results_within(root, Path(root.resolve().name), 0):
         by_name.setdefault(entry.of, []).append((entry, content))
@@ -210,7 +210,7 @@ def _recorded(place: Path, name: Path, items: Mapping[str, os.DirEntry[str]]) ->
         name=name.as_posix(),
         of=of.as_posix(),
         folder=place,
-        verb=content.get(COMMAND, artefact.verb if artefact else "").removeprefix("cosim "),
+        verb=content.get(COMMAND_KEY, artefact.verb if artefact else "").removeprefix("cosim "),
         time=record.stat().st_mtime,
         outcome=outcome,
         changes={},
@@ -297,7 +297,7 @@ def select_groups(texts: Sequence[str], results: Path | None = None) -> list[lis
     Raises:
         InputError: A text selects no results; every such text is reported.
     """
-    root = RESULTS if results is None else results
+    root = RESULTS_FOLDER if results is None else results
     inside = root.resolve() if root.is_dir() else None
     is_entry = (not Path(text).is_file() or inside in Path(text).resolve().parents for text in texts)
     every = entries(root) if any(is_entry) else []
@@ -330,7 +330,7 @@ def find_entries(texts: Sequence[str] | None, results: Path) -> list[Entry]:
     Raises:
         InputError: A text matches no entry, or a folder other than the default does not exist.
     """
-    if results != RESULTS and not results.is_dir():
+    if results != RESULTS_FOLDER and not results.is_dir():
         raise InputError.at(results, "no such folder; give the folder of the results as --results")
     every = entries(results)
     if not texts:
@@ -344,7 +344,7 @@ def find_entries(texts: Sequence[str] | None, results: Path) -> list[Entry]:
     return [*found.values()]
 
 
-def match_entries(text: str, every: Sequence[Entry], root: Path = RESULTS) -> list[Entry]:
+def match_entries(text: str, every: Sequence[Entry], root: Path = RESULTS_FOLDER) -> list[Entry]:
     """Return the entries selected by a name, a number, a pattern or a subfolder of the folder of results.
 
     The name of several runs selects the newest.

@@ -22,7 +22,7 @@ import numpy as np
 
 from cosim.core.arrays import Array, Rows
 from cosim.core.errors import Fault, InputError, refuse
-from cosim.core.registry import SOURCES, registered, resolve
+from cosim.core.registry import SOURCES_GROUP, registered, resolve
 from cosim.core.text import counted, did_you_mean
 from cosim.core.units import alternatives, factor
 from cosim.files.files import open_bytes
@@ -569,7 +569,7 @@ def as_text(value: Any) -> str:
 def sources() -> tuple[Source, ...]:
     """Return the formats, installed packages last."""
     own = [resolve(place) for place in OWN_FORMATS]
-    return (*own, *(source for _, source in registered(SOURCES, Source)))
+    return (*own, *(source for _, source in registered(SOURCES_GROUP, Source)))
 
 
 def suffixes() -> tuple[str, ...]:

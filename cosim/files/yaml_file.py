@@ -44,7 +44,7 @@ PARSERS_DISAGREE = re.compile("^%|[\\t\\x85\\u2028\\u2029\\ufeff]", re.MULTILINE
 MOST_YAML = 800_000  # text length [characters] readable within seconds
 MOST_MARKS = 100_000  # commas, colons and lines of YAML, which determine the reading time
 MOST_PARTS = 400_000  # keys and values after expanding aliases
-MERGE, TAG = "<<", "tag:yaml.org,2002:"
+MERGE_KEY, TAG_PREFIX = "<<", "tag:yaml.org,2002:"
 TOO_DEEP = f"is nested more than {MAX_NESTING} levels deep; use fewer levels"
 SCALARS = {"null", "bool", "int", "float", "str", "timestamp", "merge", "value"}  # tags
 Location = tuple[str | int, ...]
@@ -481,13 +481,13 @@ class Document:
             )
         if depth > MAX_NESTING:
             raise NotYaml(TOO_DEEP, node.start_mark)
-        kind = str(node.tag).removeprefix(TAG)
+        kind = str(node.tag).removeprefix(TAG_PREFIX)
         if node.id == "mapping" and kind in {"map", "None"}:
             return {key: self._value(value, depth + 1) for key, (_, value) in _pairs(node).items()}
         if node.id == "sequence" and kind in {"seq", "None"}:
             return [self._value(value, depth + 1) for value in node.value]
         if node.id != "scalar" or kind not in SCALARS:
-            tag = str(node.tag).replace(TAG, "!!")[:60]
+            tag = str(node.tag).replace(TAG_PREFIX, "!!")[:60]
             raise NotYaml(f'the tag "{tag}" is not supported; remove it', node.start_mark)
         text = _text_of(node)
         if kind == "null":
@@ -518,7 +518,7 @@ def _pairs(node: Any) -> dict[str, tuple[Any, Any]]:
     for key, value in entries:
         if key.id != "scalar":
             raise NotYaml("a list or mapping is used as a key; use text", key.start_mark)
-        if key.value == MERGE and not key.style:
+        if key.value == MERGE_KEY and not key.style:
             for other in value.value if value.id == "sequence" else [value]:
                 if other.id != "mapping":
                     raise NotYaml("only a mapping, or a list of mappings, can be merged", value.start_mark)

@@ -84,10 +84,11 @@ INTERFACE_ATTRIBUTES: dict[Way, str] = {
     "model-exchange": "modelExchange",
     "scheduled-execution": "scheduledExecution",
 }  # of FMPy's description
-PLATFORMS, SOURCES = "binaries/", "sources/"
-LIBRARIES, C, CPP = (".so", ".dll", ".dylib"), (".c",), (".cpp", ".cc", ".cxx", ".c++")  # file endings
+BINARIES_PREFIX, SOURCES_PREFIX = "binaries/", "sources/"
+LIBRARY_ENDINGS = (".so", ".dll", ".dylib")
+C_ENDINGS, CPP_ENDINGS = (".c",), (".cpp", ".cc", ".cxx", ".c++")
 C_CODE = "c-code"  # name of the source platform in FMI
-MOST_ELEMENTS = 1_000_000  # elements of an array; each gets a name
+MAX_ARRAY_ELEMENTS = 1_000_000  # elements of an array; each gets a name
 _slips: WeakKeyDictionary[Any, tuple[str, ...]] = WeakKeyDictionary()
 
 
@@ -126,9 +127,9 @@ def read_description(path: Path) -> Any:
     if slips:
         check_numbers(path, description.fmiVersion)
     for variable in description.modelVariables:
-        if variable.shape and not 0 <= math.prod(variable.shape) <= MOST_ELEMENTS:
+        if variable.shape and not 0 <= math.prod(variable.shape) <= MAX_ARRAY_ELEMENTS:
             size = "×".join(map(str, variable.shape))
-            raise FmuError(f"{invalid} array {variable.name} is {size}, not 0 … {MOST_ELEMENTS:g} elements")
+            raise FmuError(f"{invalid} array {variable.name} is {size}, not 0 … {MAX_ARRAY_ELEMENTS:g} elements")
     if not ways(description):
         raise FmuError(
             f"{path} is FMI {description.fmiVersion}, without a supported interface: FMI 1.0, 2.0 and 3.0 for "
@@ -193,9 +194,9 @@ def platform_of(description: Any) -> str:
 
 def platforms_among(names: Sequence[str]) -> list[str]:
     """Return the platforms of an FMU by its file names. The list ends with `c-code` if C or C++ sources exist."""
-    parts = (n.removeprefix(PLATFORMS).partition("/") for n in names if n.startswith(PLATFORMS))
-    platforms = {platform for platform, _, file in parts if file.endswith(LIBRARIES)}
-    sources = any(n.startswith(SOURCES) and n.lower().endswith((*C, *CPP)) for n in names)
+    parts = (n.removeprefix(BINARIES_PREFIX).partition("/") for n in names if n.startswith(BINARIES_PREFIX))
+    platforms = {platform for platform, _, file in parts if file.endswith(LIBRARY_ENDINGS)}
+    sources = any(n.startswith(SOURCES_PREFIX) and n.lower().endswith((*C_ENDINGS, *CPP_ENDINGS)) for n in names)
     return [*sorted(platforms), *([C_CODE] if sources else [])]
 
 

@@ -43,7 +43,7 @@ from cosim.isolation.worker import (
 
 WORKER_FOLDER_PREFIX = "cosim-work-"
 POLL = 0.05  # interval between checks of a process [s]
-ENDING = 5.0  # time [s] for a process to end by itself
+ENDING_TIMEOUT_S = 5.0  # time [s] for a process to end by itself
 NO_MESSAGE = b""  # in place of an answer: an FMU has written into the stream
 MOST_OUTPUT = 64_000  # passed output of FMUs [bytes]
 LAST_OUTPUT = 4_000  # last part kept to explain a crash [bytes]
@@ -195,7 +195,7 @@ class Worker:
             try:
                 with suppress(OSError):
                     send(process.stdin, b"")
-                process.wait(ENDING)
+                process.wait(ENDING_TIMEOUT_S)
             except TIMED_OUT:
                 kill = True
         _end_group(process, kill)
@@ -241,7 +241,7 @@ class Worker:
                     continue
                 content = None  # Its children may hold its streams open.
             if not content:
-                raise self._crash(clock, patience=0.0 if content == NO_MESSAGE else ENDING)
+                raise self._crash(clock, patience=0.0 if content == NO_MESSAGE else ENDING_TIMEOUT_S)
             if clock.watch.width and self._process is not None:  # A short run ends between two checks.
                 clock.check_memory(self._process.pid)
             return content

@@ -21,9 +21,9 @@ import numpy as np
 
 from cosim.core.arrays import Array
 
-# Current call: number of the component times CALLS, plus one of these.
+# Current call: number of the component times CALLS, plus PUT, ADVANCE or GET of `cosim.blocks.component`, or OTHER.
 CALLS = 4
-PUT, ADVANCE, GET, OTHER = range(CALLS)
+OTHER = 3
 NO_CALL = -1  # no call yet
 WAITING = NO_CALL - CALLS  # for the clock, or for the end of a pause; like NO_CALL, no call
 FILL_BYTES = 1 << 20  # bytes per write on disks that cannot reserve space

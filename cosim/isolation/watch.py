@@ -13,9 +13,10 @@ from typing import Any
 
 import psutil
 
+from cosim.blocks.component import ADVANCE, GET, PUT
 from cosim.core.errors import SimulationError, TimedOut
 from cosim.isolation.limits import Limits
-from cosim.isolation.rows import ADVANCE, CALLS, GET, NO_CALL, OTHER, PUT, WAITING, Progress
+from cosim.isolation.rows import CALLS, NO_CALL, OTHER, WAITING, Progress
 
 SIGNAL_MEANINGS = {
     "SIGSEGV": "crashed: segmentation fault",
@@ -179,7 +180,7 @@ class Clock:
         if watch.progress is not None and rows != self.rows:
             self.rows = rows
             watch.progress(rows)
-        is_named, is_other = self.progress.named[0], doing % CALLS == OTHER  # NOTHING counts as OTHER too.
+        is_named, is_other = self.progress.named[0], doing % CALLS == OTHER  # NO_CALL counts as OTHER too.
         loading = not rows and is_other and not (is_named and b"Instantiate" not in self.progress.call)
         # constant during a step or call
         key = (rows,) if rows and not is_other else (rows, doing, is_named, self.progress.call)

@@ -25,7 +25,7 @@ MAX_SLOPE_ERROR = 0.1  # standard error of a slope relative to the slope
 BLOCKS, MIN_BLOCK = 20, 10  # blocks of rows for the standard error, and rows of a block
 MIN_SIGNAL = 3.0  # multiple of its noise from which the size of a signal is judged
 REGULAR = "or, because the motion is nearly periodic, a wrong friction or inertia"
-FASTER = 1.15  # ratio of mean frequencies from which fast changes are independent evidence
+INDEPENDENT_FREQUENCY_RATIO = 1.15  # ratio of mean frequencies from which fast changes are independent evidence
 
 DIRECTIONS = {  # likely causes of a delay: of a positive one, of a negative one
     True: ("trails", "a delay or a slower actuator"),
@@ -82,7 +82,7 @@ def delays(log: Log, model: NamedArrays) -> Iterator[Finding]:
         rows = max(1, round(0.1 * SLOW_CHANGE_S * log.slowness / log.step))
         changes = (np.append(np.full(rows, np.nan), y[rows:] - y[:-rows]) for y in (log.outputs[name], model[name]))
         fast = delay(log, *changes)
-        confirmed = fast is not None and fast.frequency >= FASTER * frequency
+        confirmed = fast is not None and fast.frequency >= INDEPENDENT_FREQUENCY_RATIO * frequency
         if fast is not None and confirmed and not abs(fast.time - time) < max(0.3 * abs(time), 3.0 * fast.error):
             continue
         serious, (direction, cause) = confirmed and abs(time) > log.step, DIRECTIONS[time > 0]

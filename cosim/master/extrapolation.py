@@ -16,13 +16,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cosim.blocks.component import Row
+from cosim.blocks.component import ADVANCE, Row
 from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.stepping import Course as CCourse
 from cosim.core.arrays import Array
 from cosim.core.errors import SimulationError
 from cosim.fmi.description import takes_any_step
-from cosim.isolation.rows import ADVANCE
 from cosim.system.schedule import Stage
 
 if TYPE_CHECKING:

@@ -21,13 +21,13 @@ from collections import Counter, deque
 from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any
 
+from cosim.blocks.component import ADVANCE, GET, PUT
 from cosim.blocks.event_mode import EventFmu
 from cosim.blocks.fmu import FmuBlock
-from cosim.blocks.model_exchange import AT_ONCE, MOST_EVENTS, ModelExchange
+from cosim.blocks.model_exchange import CHATTERING_SHARE, MOST_EVENTS, ModelExchange
 from cosim.blocks.sources import SourceBlock
 from cosim.core.errors import SimulationError
 from cosim.core.times import TIME_TOLERANCE_SHARE, TIME_TOLERANCE_ULPS
-from cosim.isolation.rows import ADVANCE, GET, PUT
 from cosim.master.copying import Copies
 from cosim.master.initialization import EXACT_SWEEPS, is_settled
 from cosim.master.policies import Policy
@@ -271,12 +271,12 @@ class Instants(Policy):
         if not asked:
             return
         self._times.append(t)
-        if len(self._times) == self._times.maxlen and t - self._times[0] <= AT_ONCE * self.h:
+        if len(self._times) == self._times.maxlen and t - self._times[0] <= CHATTERING_SHARE * self.h:
             names = ", ".join(sorted({part.component.name for part in self.fmus if part.component.asks}))
             raise SimulationError(
                 names or "the run",
                 t,
-                f"{len(self._times)} events within {AT_ONCE * self.h:.2g} s, so that time stands still",
+                f"{len(self._times)} events within {CHATTERING_SHARE * self.h:.2g} s, so that time stands still",
             )
         self._handle(asked)
 

@@ -21,13 +21,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cosim.blocks.component import EarlyEnd
+from cosim.blocks.component import ADVANCE, GET, PUT, EarlyEnd
 from cosim.blocks.coupling import torn
 from cosim.blocks.fmu import FmuBlock
 from cosim.core.arrays import Array, Flags
 from cosim.core.errors import NotFinite, SimulationError
 from cosim.core.times import first_point
-from cosim.isolation.rows import ADVANCE, GET, PUT
 from cosim.master.root_finding import ROUNDING_RESIDUAL, Outcome, RootFinding
 from cosim.scenario.scenario import LoopSettings
 from cosim.system.schedule import Loop
@@ -47,8 +46,8 @@ RETRY_EXPONENTS = -3, 5  # exponents of 2 of other first points, where a compone
 MOST_DIFFERENCES = 50  # inputs of a loop without derivatives, beyond which Newton's method costs too much
 
 RESIDUAL_DOUBLINGS = 12  # of the residual, for the judgement whether it grows without bound
-EVEN = 1.5  # ratio of the steps that the second and the first half of these doublings take
-LARGE = 1e9  # residual in nominal values from which on such growth ends a run
+MAX_HALVES_RATIO = 1.5  # ratio of the steps that the second and the first half of these doublings take
+DIVERGED_RESIDUAL = 1e9  # residual in nominal values from which on such growth ends a run
 
 
 class DelayedLoop:
@@ -88,10 +87,10 @@ class DelayedLoop:
             return False
         self._doublings.append((len(self._shares), size))
         steps = [step for step, _ in self._doublings[-RESIDUAL_DOUBLINGS - 1 :]]
-        if size < LARGE or len(steps) <= RESIDUAL_DOUBLINGS:
+        if size < DIVERGED_RESIDUAL or len(steps) <= RESIDUAL_DOUBLINGS:
             return False
         middle = steps[RESIDUAL_DOUBLINGS // 2]
-        return steps[-1] - middle <= EVEN * (middle - steps[0])
+        return steps[-1] - middle <= MAX_HALVES_RATIO * (middle - steps[0])
 
     def record(self) -> dict[str, Any]:
         """Return the entry of the manifest."""

@@ -24,7 +24,7 @@ from typing import Any
 
 import numpy as np
 
-from cosim.blocks.component import EarlyEnd, without_step
+from cosim.blocks.component import GET, EarlyEnd, without_step
 from cosim.blocks.event_mode import EventFmu
 from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.stepping import NEVER, NotCompiled, cores
@@ -34,7 +34,7 @@ from cosim.core.errors import CallFailed, DiskFull, NotFinite, SimulationError, 
 from cosim.core.messages import Note
 from cosim.files.files import hold_stops
 from cosim.files.results import Results
-from cosim.isolation.rows import CALLS, GET, OTHER, Rows
+from cosim.isolation.rows import CALLS, OTHER, Rows
 from cosim.master.c_loop import CompiledSteps
 from cosim.master.checkpoint import Keeper
 from cosim.master.copying import Copying

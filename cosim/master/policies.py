@@ -31,12 +31,12 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from cosim.blocks.component import GET
 from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.stepping import NotCompiled, cores
 from cosim.core.arrays import Array
 from cosim.core.errors import CosimError, SimulationError
 from cosim.core.times import STEP_COUNT_TOLERANCE
-from cosim.isolation.rows import GET
 from cosim.master.c_loop import CompiledSteps
 from cosim.master.checkpoint import NOT_RESTORED
 from cosim.master.copying import Copies
@@ -49,7 +49,7 @@ if TYPE_CHECKING:
     from cosim.master.master import Master
 
 SAFETY, PROPORTIONAL, INTEGRAL = 0.9, 0.4, 0.7  # factor of a step; exponents times q of the last and the present error
-SMALLEST, LARGEST = 0.2, 4.0  # change of a step
+MIN_STEP_FACTOR, MAX_STEP_FACTOR = 0.2, 4.0  # change of a step
 MUCH, MOST_NAMED = 0.01, 3  # allowed error of a step as a share of a signal that is named; number of names
 TIMED, SLOW = 4, 50e-6  # first steps that are timed; shortest step [s] that is worth a thread, as in stepping.c
 LEAST_ERROR = 1e-4  # smallest error that enters the controller
@@ -362,7 +362,7 @@ class ControlledSteps(Policy):
                 self.missed.append((t, error, name))
         error = max(error, LEAST_ERROR)
         factor = SAFETY * error ** (-INTEGRAL / self.q) * self.before ** (PROPORTIONAL / self.q)
-        wish = h * min(max(factor, SMALLEST), LARGEST)
+        wish = h * min(max(factor, MIN_STEP_FACTOR), MAX_STEP_FACTOR)
         if factor >= 1.0:  # A step that the next row cuts short says nothing against longer ones.
             wish = max(wish, self.wish)
         self.wish, self.before = min(max(wish, self.control.shortest), self.control.longest), error
@@ -389,7 +389,7 @@ class ControlledSteps(Policy):
             return error, name
         before.restore()
         self.rejected += 1
-        shorter = (until - t) * max(SMALLEST, SAFETY * error ** (-1.0 / self.q))
+        shorter = (until - t) * max(MIN_STEP_FACTOR, SAFETY * error ** (-1.0 / self.q))
         self.wish = max(shorter, self.control.shortest)
         return math.nan, name
 

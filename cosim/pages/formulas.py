@@ -20,7 +20,7 @@ from cosim.pages.rows import TIME_COLUMN, Recording
 from cosim.pages.runs import ViewedRun
 
 MAX_FORMULA_CHARACTERS = 500  # characters of a formula
-LARGEST = 10**308  # largest number; larger ones become infinite
+MAX_NUMBER = 10**308  # largest number; larger ones become infinite
 
 
 def derivative(time: Array, values: Array) -> Array:
@@ -53,9 +53,9 @@ def lowpass(time: Array, values: Array, constant: float) -> Array:
     return np.array(out)
 
 
-UNARY = ["abs", "sqrt", "sin", "cos", "tan", "arcsin", "arccos", "arctan", "exp", "log", "log10"]
-BINARY = {"atan2": np.arctan2, "hypot": np.hypot, "min": np.minimum, "max": np.maximum}
-POINTWISE: dict[str, Callable[..., Any]] = {name.replace("arc", "a"): getattr(np, name) for name in UNARY} | BINARY
+OF_ONE = ["abs", "sqrt", "sin", "cos", "tan", "arcsin", "arccos", "arctan", "exp", "log", "log10"]
+OF_TWO = {"atan2": np.arctan2, "hypot": np.hypot, "min": np.minimum, "max": np.maximum}
+POINTWISE: dict[str, Callable[..., Any]] = {name.replace("arc", "a"): getattr(np, name) for name in OF_ONE} | OF_TWO
 OVER_TIME: dict[str, Callable[..., Array]] = {"der": derivative, "integral": integral, "lowpass": lowpass}
 FORMULA_FUNCTIONS = (*OVER_TIME, *POINTWISE)
 OPERATORS: dict[type[ast.AST], Callable[..., Any]] = {
@@ -89,7 +89,7 @@ def evaluate(text: str, signals: Mapping[str, tuple[Recording, str]], name: str 
     def value(node: ast.AST) -> Any:
         match node:
             case ast.Constant(value=int() | float() as number) if not isinstance(number, bool):
-                return np.float64(number) if abs(number) < LARGEST else np.float64(np.inf)
+                return np.float64(number) if abs(number) < MAX_NUMBER else np.float64(np.inf)
             case ast.Name(id="t"):
                 return time
             case ast.Name(id=letter) if letter in signals:
@@ -101,7 +101,7 @@ def evaluate(text: str, signals: Mapping[str, tuple[Recording, str]], name: str 
             case ast.BinOp(op=op, left=left, right=right) if type(op) in OPERATORS:
                 return OPERATORS[type(op)](value(left), value(right))
             case ast.Call(func=ast.Name(id=function), args=arguments, keywords=[]) if function in FORMULA_FUNCTIONS:
-                count = 2 if function in BINARY or function == "lowpass" else 1
+                count = 2 if function in OF_TWO or function == "lowpass" else 1
                 if len(arguments) != count:
                     refuse(f"{function} takes {counted(count, 'argument')}")
                 numbers = [value(each) for each in arguments]

@@ -34,7 +34,7 @@ from cosim.files.results import is_rounded, read_results
 BLOCK_ROWS = 16  # rows of a block
 MIN_BLOCKS_PER_PIXEL = 4  # blocks per pixel column, so that an edge is wrong by at most a quarter of a column
 MAX_ROWS_PER_PIXEL = 2  # rows per pixel column up to which rows are drawn unchanged
-ROOM = 4096  # rows for which a growing recording has room at first
+FIRST_CAPACITY_ROWS = 4096  # rows for which a growing recording has room at first
 TIME_COLUMN = "time"
 
 
@@ -108,7 +108,7 @@ class Recording:
         with self._lock:
             before, rows = self.rows, self.rows + values.shape[1]
             if rows > self._table.shape[1]:
-                table = np.empty((len(values), max(ROOM, 2 * rows)))
+                table = np.empty((len(values), max(FIRST_CAPACITY_ROWS, 2 * rows)))
                 table[:, :before] = self._table[:, :before]
                 self._table = table
             self._table[:, before:rows] = values
@@ -189,10 +189,11 @@ class Recording:
         return Picture(self, blocks, rows, middle, order, starts)
 
 
-FOLDER, ROWS, ABOUT, TEXTS, VERSION = "view", "rows", "about.json", "texts.arrow", 7
-UNUSED = 30 * 86_400.0  # age [s] above which a conversion is removed
+VIEW_FOLDER, VIEW_VERSION = "view", 7
+VIEW_ROWS_FILE, VIEW_ABOUT_FILE, VIEW_TEXTS_FILE = "rows", "about.json", "texts.arrow"
+UNUSED_AGE_S = 30 * 86_400.0  # age [s] above which a conversion is removed
 DRAFT = "draft-"  # prefix of an unfinished conversion
-SMALL = 4_000_000  # largest table that is kept in memory [bytes]
+MAX_MEMORY_BYTES = 4_000_000  # largest table that is kept in memory [bytes]
 
 
 def open_rows(path: Path, **about: Any) -> Recording:
@@ -205,16 +206,16 @@ def open_rows(path: Path, **about: Any) -> Recording:
         InputError: The table has faults, or no rows.
     """
     status = path.stat() if path.is_file() else None
-    if status is None or status.st_size <= SMALL:
+    if status is None or status.st_size <= MAX_MEMORY_BYTES:
         return _read(path, about)
-    place = cache_folder() / FOLDER / _key(path, status, about)
-    if content_of(place / ABOUT):
+    place = cache_folder() / VIEW_FOLDER / _key(path, status, about)
+    if content_of(place / VIEW_ABOUT_FILE):
         os.utime(place)
     else:
         place.parent.mkdir(mode=0o700, exist_ok=True)
         for each in place.parent.iterdir():  # conversions not used for a long time
             with suppress(OSError):
-                if not each.name.startswith(DRAFT) and time.time() - each.stat().st_mtime > UNUSED:
+                if not each.name.startswith(DRAFT) and time.time() - each.stat().st_mtime > UNUSED_AGE_S:
                     shutil.rmtree(each)
         with scratch_folder(place.parent, DRAFT) as folder:
             draft = folder / place.name
@@ -223,10 +224,10 @@ def open_rows(path: Path, **about: Any) -> Recording:
             shutil.rmtree(place, ignore_errors=True)
             with suppress(OSError):  # Another command was faster.
                 shutil.move(draft, place)
-    known: Any = content_of(place / ABOUT)
+    known: Any = content_of(place / VIEW_ABOUT_FILE)
     names = [TIME_COLUMN, *known["units"]]
-    table: Any = np.memmap(place / ROWS, np.float64, "r").reshape(len(names), -1).view(np.ndarray)
-    texts = feather.read_table(place / TEXTS, memory_map=True) if known["texts"] else None
+    table: Any = np.memmap(place / VIEW_ROWS_FILE, np.float64, "r").reshape(len(names), -1).view(np.ndarray)
+    texts = feather.read_table(place / VIEW_TEXTS_FILE, memory_map=True) if known["texts"] else None
     strings = {name: texts.column(k) for k, name in enumerate(known["texts"])} if texts is not None else {}
     recording = Recording(dict(zip(names, table, strict=True)), known["units"], strings)
     recording.inexact, recording.assumed = known["inexact"], known["assumed"]
@@ -236,7 +237,7 @@ def open_rows(path: Path, **about: Any) -> Recording:
 def _key(path: Path, status: os.stat_result, about: dict[str, Any]) -> str:
     """Return a key of the content of a file and of its types; a renamed file keeps its key."""
     content = status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns
-    types = json.dumps([VERSION, path.suffix, content, about], sort_keys=True, default=sorted)
+    types = json.dumps([VIEW_VERSION, path.suffix, content, about], sort_keys=True, default=sorted)
     return sha256(types.encode()).hexdigest()
 
 
@@ -254,12 +255,12 @@ def _read(path: Path, about: dict[str, Any]) -> Recording:
 
 
 def _write(recording: Recording, folder: Path) -> None:
-    with (folder / ROWS).open("wb") as stream:
+    with (folder / VIEW_ROWS_FILE).open("wb") as stream:
         for name in (TIME_COLUMN, *recording.units):
             stream.write(recording.column(name).tobytes())
     texts = [pa.array(values, pa.string()) for values in recording.texts.values()]
     if texts:
         table = pa.table(texts, [*map(str, range(len(texts)))])
-        feather.write_feather(table, folder / TEXTS, compression="uncompressed")
+        feather.write_feather(table, folder / VIEW_TEXTS_FILE, compression="uncompressed")
     about = {"units": recording.units, "texts": [*recording.texts], "inexact": recording.inexact}
-    (folder / ABOUT).write_text(json.dumps({**about, "assumed": recording.assumed}), encoding="utf-8")
+    (folder / VIEW_ABOUT_FILE).write_text(json.dumps({**about, "assumed": recording.assumed}), encoding="utf-8")

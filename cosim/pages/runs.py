@@ -23,14 +23,14 @@ from cosim.files.kinds import check_given, refuse_folder
 from cosim.files.results import rows_in
 from cosim.files.run_entries import Entry, Selected, entries, select_groups
 from cosim.isolation.rows import LIVE_ROWS_FILE, Progress
-from cosim.master.checkpoint import ROWS
+from cosim.master.checkpoint import ROWS_FILE
 from cosim.pages.rows import TIME_COLUMN, Recording, open_rows
 from cosim.simulation.run_signals import RUN_OR_TABLE
-from cosim.sweeps.store import TABLE, read_runs
+from cosim.sweeps.store import SWEEP_TABLE, read_runs
 
 NO_ROWS = "has no rows to draw{status}; give folders of runs, or tables with time in the first column"
 FILE_LOST = "{label} was removed or replaced; the rows that were read stay"
-MAX_RUNS = 20  # results listed by name in a message
+MAX_VIEWED = 20  # results listed by name in a message
 MAX_NOTED_SIGNALS = 5  # signals in a note
 FILE_CHECK_INTERVAL_S = 1.0  # [s] between checks of a file
 REREAD_INTERVAL_RATIO = 5.0  # time between readings of a growing file, as a multiple of the reading time
@@ -121,7 +121,7 @@ class ViewedRun:
         about = json.loads(self.place.file.read_text(encoding="utf-8"))
         made = int(Progress.from_buffer_copy(Path(about["progress"]).read_bytes()).made[0])
         if made > rows.rows:
-            table = np.memmap(self.place.file.with_name(ROWS), np.float64, "r", shape=(made, len(about["units"])))
+            table = np.memmap(self.place.file.with_name(ROWS_FILE), np.float64, "r", shape=(made, len(about["units"])))
             time = about["start"] + about["step"] * np.arange(rows.rows, made)
             rows.append(np.vstack((time, table[rows.rows :].T)))
 
@@ -186,9 +186,9 @@ def find_runs(
         found = [place for entry in entries(results) if (place := _of_entry(entry, is_named=False)) is not None]
         if not found:
             raise InputError.at(results, "has no results with rows; run a scenario first, or give folders and tables")
-        if len(found) > MAX_RUNS:
-            notes.append(f"the newest {MAX_RUNS} of {len(found)} results are shown; to see others, give their names")
-        return _differing(found[-MAX_RUNS:]), [*map(Note, notes)]
+        if len(found) > MAX_VIEWED:
+            notes.append(f"the newest {MAX_VIEWED} of {len(found)} results are shown; to see others, give their names")
+        return _differing(found[-MAX_VIEWED:]), [*map(Note, notes)]
     found = []
     for text, group in zip(texts, select_groups(texts, results), strict=True):
         try:
@@ -230,7 +230,7 @@ def _places(
     if selected.by_pattern:
         return []
     swept = read_runs(path)
-    time, runs = swept.signals(MAX_RUNS) if swept is not None else (np.zeros(0), {})
+    time, runs = swept.signals(MAX_VIEWED) if swept is not None else (np.zeros(0), {})
     if swept is None or not runs:
         if earlier := [place for e in series if (place := _of_entry(e, is_named=True)) is not None]:
             notes.append(f"{path} has no rows to draw; the newest run that has, {earlier[-1].label}, is shown")
@@ -244,7 +244,7 @@ def _places(
     labels = {
         f"{name} run {number}": Recording({TIME_COLUMN: time, **signals}, units) for number, signals in runs.items()
     }
-    return [RunPlace(n, n, path / TABLE, rows=rows, display=display) for n, rows in labels.items()]
+    return [RunPlace(n, n, path / SWEEP_TABLE, rows=rows, display=display) for n, rows in labels.items()]
 
 
 def open_runs(

@@ -31,7 +31,7 @@ from cosim.pages.server import Handler, Json, ServedPage
 from cosim.report.template import render
 
 TEMPLATE = Path(__file__).with_name("templates") / "view.html.j2"
-MAX_WIDTH = 8192  # pixel columns of a time plot, points of an x-y plot
+MAX_PIXELS = 8192  # pixel columns of a time plot, points of an x-y plot
 MAX_EXPORTED_VALUES = 50_000_000  # values of an exported table
 MIN_SPECTRUM, MAX_SPECTRUM, MAX_SEGMENT = 16, 20_000_000, 16_384  # rows of a spectrum, and of its longest segment
 Signal = tuple[int, str]  # number of the run, name
@@ -44,7 +44,7 @@ class Wanted(BaseModel):
     begin: FiniteFloat = Field(0.0, alias="from")
     end: FiniteFloat = Field(1.0, alias="to")
     at: FiniteFloat = 0.0
-    width: int = Field(1, gt=0, le=MAX_WIDTH)
+    width: int = Field(1, gt=0, le=MAX_PIXELS)
     curves: list[Signal]
     across: list[Signal] = []
 

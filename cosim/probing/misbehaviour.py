@@ -29,7 +29,7 @@ from cosim.probing.prober import (
 )
 
 WARM, INSTANCES = 2, 6  # instances created before and during the measurement of memory
-LEAK = 1e6  # growth per instance that exceeds allocator overhead [bytes]
+LEAKED_BYTES = 1e6  # growth per instance that exceeds allocator overhead [bytes]
 
 
 def misbehaviour(fmu: Path) -> Iterator[str]:
@@ -73,7 +73,7 @@ def misbehaviour(fmu: Path) -> Iterator[str]:
                     yield f"{what} gives different outputs, by {share:.2g} of their largest value"
                 noise = gaps if job is outputs_again else noise
             with suppress(SimulationError, FmuError):
-                if (grown := prober.call(growth, way, prober.fmu, course)) > LEAK:
+                if (grown := prober.call(growth, way, prober.fmu, course)) > LEAKED_BYTES:
                     yield f"leaks {grown / 1e6:.2g} MB of memory per instance"
 
 

@@ -30,7 +30,7 @@ from cosim.probing.prober import (
 )
 from cosim.terms.language import RatioFactor
 
-STEADY = 1e-2  # share of a value by which a constant state or input is displaced
+CONSTANT_DISPLACEMENT = 1e-2  # share of a value by which a constant state or input is displaced
 
 
 def exchange_structure(prober: Prober, courses: Sequence[Course]) -> Structure:
@@ -99,7 +99,7 @@ def _points(prober: Prober, courses: Sequence[Course], runs: Sequence[Run]) -> t
     largest = np.abs(known).max(axis=0)
     sizes = {v.name: nominal_of(v) for v in reversed(prober.description.modelVariables)}
     nominal = np.array([abs(sizes.get(name, 0.0)) or 1.0 for name in (*states, *inputs)])
-    unmoved = np.where(largest > 0.0, STEADY * largest, nominal)
+    unmoved = np.where(largest > 0.0, CONSTANT_DISPLACEMENT * largest, nominal)
     scale = np.where(spread > SAME * largest, spread, unmoved)
     size = np.maximum(np.abs(values).max(axis=0), SAME)
     signals = quantities(prober.description, (*states, *inputs), known[0])
@@ -336,7 +336,7 @@ def reactions(fmu: Fmu, course: Course, places: Sequence[tuple[float, Array, Arr
 # trials of each parameter distinguish a power law from a sum.
 
 
-NEARLY = 1e-6  # largest relative deviation from proportionality to velocity and parameter
+PROPORTIONALITY_TOLERANCE = 1e-6  # largest relative deviation from proportionality to velocity and parameter
 # Changes of a parameter as multiples of its size; the first whose double the bounds allow is used.
 PARAMETER_CHANGES = (1.0, 0.1, -0.25)
 RATIO_PLACES = 4  # number of points for the measurement of ratios
@@ -402,7 +402,7 @@ def dampings(
             index, usual = states.index(pair.velocity), once[:, 1]
             speed = float(points.scale[index])
             noise, force = SAME * points.size, -change * speed
-            near = noise + NEARLY * np.abs(usual).max(axis=0, initial=0.0)
+            near = noise + PROPORTIONALITY_TOLERANCE * np.abs(usual).max(axis=0, initial=0.0)
             equal = (once[:, 0], 0.0), (once[:, 2], 2.0 * usual), (once[:, 3], usual), (twice[:, 1], 2.0 * usual)
             affected, own = np.flatnonzero((np.abs(usual) > noise).any(axis=0)), usual[:, index] / force
             is_damping = len(own) and affected.max(initial=-1) < n and (own * abs(force) > noise[index]).all()

@@ -26,7 +26,8 @@ from cosim.probing.prober import LIMITS, SAME, Course, Prober, moved, outputs_al
 
 STEP_SEARCH_ROWS = 60  # rows of a simulation
 STEP_DOUBLINGS = 6  # step of the search, relative to the step of the log
-OWN, CONVERGED = 0.2, 0.05  # relative differences of results: of too short steps, and of correct ones
+MIN_WRONG_DIFFERENCE = 0.2  # relative difference of results of too short steps
+MAX_CORRECT_DIFFERENCE = 0.05  # relative difference of correct results
 INNER_STEP_ACCURACY = 0.05  # accuracy of an internal step
 
 
@@ -95,7 +96,7 @@ def probe_own_step(
                 return None
             size = np.maximum(np.ptp(np.concatenate(tables), axis=0), SAME)
             gaps = [float((np.abs(a[-1] - b[-1]) / size).max(initial=0.0)) for a, b in pairwise(tables)]
-            if gaps[0] > OWN and min(gaps) < CONVERGED and int(np.argmin(gaps)) > 0:
+            if gaps[0] > MIN_WRONG_DIFFERENCE and min(gaps) < MAX_CORRECT_DIFFERENCE and int(np.argmin(gaps)) > 0:
                 # this many short steps give the result of a single long one
                 distance = (np.abs(tables[0] - steps(step * count, 1)[-1]) / size).sum(axis=1)
                 own = roundest(step * count / max(1, int(np.argmin(distance))))

@@ -15,6 +15,7 @@ from typing import Any, Self
 import numpy as np
 
 from cosim.blocks.compiling import permission, with_permission
+from cosim.blocks.component import ADVANCE, GET, PUT
 from cosim.blocks.derivatives import DifferentiableFmu
 from cosim.blocks.fmu import FmuBlock
 from cosim.core.arrays import Array
@@ -26,14 +27,15 @@ from cosim.fmi.fmi_types import DOUBLE_TYPES, element_names
 from cosim.isolation import worker as here
 from cosim.isolation.limits import Limits
 from cosim.isolation.process import Worker
-from cosim.isolation.rows import ADVANCE, GET, OTHER, PUT
+from cosim.isolation.rows import OTHER
 from cosim.isolation.watch import Watch, fmi_calls
 from cosim.logs.log import Log
 from cosim.model.quantities import Quantity
 from cosim.probing.fmu_structure import START_STEP, EventCount, ProbedParameter, StartValue
 from cosim.scenario.start_values import settable
 
-ROWS, SECONDS = 400, 10.0  # simulation without a log: number of rows, and duration without a default experiment [s]
+DEFAULT_ROWS = 400  # of a simulation without a log
+DEFAULT_DURATION_S = 10.0  # without a log and a default experiment
 SINE_AMPLITUDE_SHARE = 0.1  # amplitude of a sine relative to the input's range or start value
 SAME = 1e-9  # relative difference below which numbers are equal
 RANDOM_DIFFERENCE_RATIO = 10.0  # difference relative to that of repeated simulations, up to which it is random
@@ -91,10 +93,10 @@ def sine_course(description: Any) -> Course:
     experiment = description.defaultExperiment
     begin = float(getattr(experiment, "startTime", None) or 0.0)
     end = float(getattr(experiment, "stopTime", None) or 0.0)
-    duration = end - begin if end > begin else SECONDS
-    step = float(getattr(experiment, "stepSize", None) or duration / ROWS)
-    step *= max(1, round(duration / ROWS / step))  # whole steps of the FMU
-    rows = int(min(ROWS, max(2, round(duration / step))))
+    duration = end - begin if end > begin else DEFAULT_DURATION_S
+    step = float(getattr(experiment, "stepSize", None) or duration / DEFAULT_ROWS)
+    step *= max(1, round(duration / DEFAULT_ROWS / step))  # whole steps of the FMU
+    rows = int(min(DEFAULT_ROWS, max(2, round(duration / step))))
     time = np.asarray(begin + step * np.arange(rows + 1), np.float64)
     phase = 2.0 * np.pi * np.arange(rows + 1) / rows
     inputs = {}

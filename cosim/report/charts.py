@@ -21,7 +21,7 @@ from cosim.report.panels import Panel, Trace, extent
 
 MAX_PAGE_VALUES = 6_000_000  # values in a page; beyond, every n-th row
 MAX_COUNT = 1e9  # held whole numbers below have no decimals
-DIGITS, SPAN_DIGITS = 5, 4  # significant digits of the largest value and of the span
+VALUE_DIGITS, SPAN_DIGITS = 5, 4  # significant digits of the largest value and of the span
 MAX_CONSTANT_SPAN = 1e-12  # of the largest value: a signal with a smaller span is constant
 MAX_EXACT = 1e15  # whole numbers up to here are exact in the script
 MAX_DECIMALS = 300  # decimals; larger powers of ten overflow
@@ -203,7 +203,7 @@ def decimals_of(values: Array) -> int:
         return 0
     largest = float(np.max(np.abs(good)))
     span = min(float(np.max(good)) - float(np.min(good)), sys.float_info.max)
-    digits = DIGITS - 1 - math.floor(math.log10(largest))
+    digits = VALUE_DIGITS - 1 - math.floor(math.log10(largest))
     if span > MAX_CONSTANT_SPAN * largest:
         digits = max(digits, SPAN_DIGITS - 1 - math.floor(math.log10(span)))
     return min(digits, math.floor(math.log10(MAX_EXACT) - math.log10(largest)), MAX_DECIMALS)

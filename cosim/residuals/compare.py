@@ -43,7 +43,7 @@ from cosim.residuals.windows import (
     self_started,
 )
 
-WINDOWS, FEWEST_DRAWS, SEED = 40, 2, 1  # least number of windows drawn
+MIN_DRAWN_WINDOWS, MIN_DRAWS, WINDOWS_SEED = 40, 2, 1  # least number of windows drawn
 BY_CHANCE = 1e-4  # false alarm probability of a correct model for each channel
 AT_LEAST = 1.5  # least limit relative to the floor, since noise levels are estimates
 ROUNDING_SHARE = 1e-9  # share of a channel's size
@@ -183,7 +183,7 @@ def draws(log: Log, horizon: float) -> int:
     """Return the number of random draws that estimate the noise floor of a log; few windows need more draws."""
     runs = [] if horizon == FREE_RUN else chains(log, horizon)
     count = sum(sum(row >= begin for row in rows[:-1]) for rows, begin in runs)
-    return max(FEWEST_DRAWS, math.ceil(WINDOWS / max(1, count)))
+    return max(MIN_DRAWS, math.ceil(MIN_DRAWN_WINDOWS / max(1, count)))
 
 
 def floors(drive: Drive, free: Replay, measured: Replay) -> dict[str, ChannelFloor]:
@@ -212,7 +212,7 @@ def floors(drive: Drive, free: Replay, measured: Replay) -> dict[str, ChannelFlo
 
     restarted, errors = predict(sampled), []
     for draw in range(count := draws(log, horizon)):
-        rng = np.random.default_rng([SEED, draw])
+        rng = np.random.default_rng([WINDOWS_SEED, draw])
         noise = {n: np.nan_to_num(s) * rng.standard_normal(log.rows) for n, s in levels.items()}
         noisy = predict({n: values + noise[n] for n, values in sampled.items()})
         errors.append({n: sampled[n] + noise[n] - (noisy[n] - (restarted[n] - free.outputs[n])) for n in sampled})

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 
 from cosim.blocks.compiling import with_permission
-from cosim.blocks.component import Signal
+from cosim.blocks.component import ADVANCE, GET, PUT, Signal
 from cosim.blocks.fmu import FmuBlock, RestartableFmu
 from cosim.blocks.shared_code import claim
 from cosim.core.arrays import Array, Flags, Rows
@@ -31,7 +31,7 @@ from cosim.fmi.state import Memory, Own
 from cosim.isolation import worker as here
 from cosim.isolation.limits import Limits
 from cosim.isolation.process import Remote, Worker
-from cosim.isolation.rows import ADVANCE, GET, OTHER, PUT, allocate, mapped_table, read_table
+from cosim.isolation.rows import OTHER, allocate, mapped_table, read_table
 from cosim.isolation.rows import Rows as SharedRows
 from cosim.isolation.watch import Watch, fmi_calls
 from cosim.logs.log import Log, read_log
@@ -41,8 +41,8 @@ PLANT_COMPONENT = "plant"  # component name in results and messages
 REPLAY_MODULES = ("cosim.residuals.drive", "fmpy.fmi2", "fmpy.logging")
 PROGRESS_EVERY_ROWS = 500
 BOOLEAN_TEXTS = {"true": True, "on": True, "1": True, "false": False, "off": False, "0": False}
-COARSE = 1e3  # times the tolerance of times, for logs whose times are printed
-PER_ROW = 8  # steps between rows for interpolated inputs, each held at its midpoint
+PRINTED_TIME_FACTOR = 1e3  # times the tolerance of times, for logs whose times are printed
+STEPS_PER_ROW = 8  # steps between rows for interpolated inputs, each held at its midpoint
 
 
 class DriveSteps(NamedTuple):
@@ -231,7 +231,7 @@ class Drive:
         here, size = ctypes.addressof(self._row) + 8 * len(self.block.inputs), 8 * len(self.outputs)
         there, block, acting, whole = table.ctypes.data, self.block, first, 0
         reached, width = steps.reached, len(self.inputs)
-        close = roundings(reached, COARSE * self.log.step)
+        close = roundings(reached, PRINTED_TIME_FACTOR * self.log.step)
         following = np.searchsorted(self.log.time, reached + close, side="right") - 1  # row that acts at each reading
         commands = [self._commands[k] for k in following.tolist()] if self._commands else []
         times, lengths, number, reading = (part.tolist() for part in steps[:4])
@@ -298,20 +298,20 @@ class Drive:
         time, step = self.log.time[first : last + 1], self.log.step
         if self.variable_step:
             dt = np.diff(time)
-            count = np.maximum(1, np.rint(dt / step)).astype(np.intp) * (PER_ROW if self._ramps.any() else 1)
+            count = np.maximum(1, np.rint(dt / step)).astype(np.intp) * (STEPS_PER_ROW if self._ramps.any() else 1)
             length = dt / count
-            usual = step / PER_ROW if self._ramps.any() else step
-            length[np.abs(length - usual) < roundings(time[:-1], COARSE * usual)] = usual  # no jitter
+            usual = step / STEPS_PER_ROW if self._ramps.any() else step
+            length[np.abs(length - usual) < roundings(time[:-1], PRINTED_TIME_FACTOR * usual)] = usual  # no jitter
             number = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
             times = np.repeat(time[:-1], count) + number * np.repeat(length, count)
             lengths, rows = np.repeat(length, count), np.repeat(np.arange(first, last), count)
             reads = np.diff(rows, append=-1) != 0
         else:
             times = time[0] + step * np.arange(
-                max(0, math.ceil((time[-1] - time[0] - rounding(time[-1], COARSE * step)) / step))
+                max(0, math.ceil((time[-1] - time[0] - rounding(time[-1], PRINTED_TIME_FACTOR * step)) / step))
             )
             lengths, reads = np.full(times.size, step), np.ones(times.size, bool)
-            rows = first + np.searchsorted(time, times + roundings(times, COARSE * step), side="right") - 1
+            rows = first + np.searchsorted(time, times + roundings(times, PRINTED_TIME_FACTOR * step), side="right") - 1
         return DriveSteps(times, lengths, rows, reads, np.append(time[0], (times + lengths)[reads]))
 
     def _puts(self, steps: DriveSteps, first: int) -> list[Any]:
@@ -350,7 +350,7 @@ def rows_of(log: Log, first: int, seconds: float) -> int:
 
 def coarse_rounding(log: Log) -> float:
     """Return the difference [s] within which times of a log are equal, which may be printed."""
-    return rounding(float(log.time[-1]), COARSE * log.step)
+    return rounding(float(log.time[-1]), PRINTED_TIME_FACTOR * log.step)
 
 
 def as_columns(table: Array, names: Sequence[str]) -> dict[str, Array]:

@@ -17,7 +17,7 @@ from cosim.core.text import counted
 from cosim.core.times import first_point
 from cosim.core.units import is_as_known
 from cosim.core.version import __version__
-from cosim.files.folders import COMMAND, SCHEMA_VERSION
+from cosim.files.folders import COMMAND_KEY, SCHEMA_VERSION
 from cosim.fmi.description import ways
 from cosim.master.observer import Change
 from cosim.scenario.scenario import Scenario, resolve_defaults
@@ -67,7 +67,7 @@ def manifest(file: ScenarioFile, system: System, command: str = "") -> dict[str,
     return {
         "schema_version": SCHEMA_VERSION,
         "cosim_version": __version__,
-        **({COMMAND: command} if command else {}),
+        **({COMMAND_KEY: command} if command else {}),
         "status": "ok",
         "date": datetime.now().astimezone().isoformat(timespec="seconds"),
         "set": file.overrides,

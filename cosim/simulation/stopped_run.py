@@ -33,7 +33,7 @@ from cosim.files.folders import content_of, has_type, new_run, newest_run, sound
 from cosim.files.results import Results, read_results, rows_in
 from cosim.files.state_file import sync, unpack
 from cosim.isolation.rows import read_exact, read_table
-from cosim.master.checkpoint import BESIDE, CHECKPOINT_VERSION, ROWS, STATE, Continuation, RowsHash
+from cosim.master.checkpoint import BESIDE_FILE, CHECKPOINT_VERSION, ROWS_FILE, STATE_FILE, Continuation, RowsHash
 from cosim.master.remote import IN_USE, read_state
 from cosim.scenario.scenario import Scenario
 from cosim.scenario.scenario_file import ScenarioFile
@@ -54,7 +54,7 @@ ROWS_OF_ANOTHER_RUN = (
 )
 STOPPED_BEFORE_ROWS = "its run was stopped before its first row or checkpoint; run the scenario again from its start"
 
-FOLDER, RUN, MANIFEST = "checkpoint", "run.json", "manifest.json"
+CHECKPOINT, RUN, MANIFEST_FILE = "checkpoint", "run.json", "manifest.json"
 PATIENCE, PAUSE = 15.0, 0.05  # time [s] for the worker of a killed command to end, and between two looks
 EXTRA = "files"  # key of run.json beside those of a manifest: name of the rows file, warnings of an SSP
 EXTRA_KIND = {"rows": str, "warnings": [str]}
@@ -154,16 +154,18 @@ class StoppedRun:
         Raises:
             InputError: The run is finished, or its files do not belong together.
         """
-        kept = self.folder / FOLDER
+        kept = self.folder / CHECKPOINT
         count = self.checkpoint["point"] + 1 if self.checkpoint else 0
         start = None
-        if (kept / ROWS).is_file():
+        if (kept / ROWS_FILE).is_file():
             width = len(system.columns)
             if not count:
                 raise InputError.at(kept, STOPPED_BEFORE_ROWS)
-            if (kept / ROWS).stat().st_size < 8 * count * width:
-                raise InputError.at(kept / ROWS, ROWS_OF_ANOTHER_RUN)
-            start = Continuation(read_table(kept / ROWS, count, width), read_exact(kept / BESIDE, count), self.state)
+            if (kept / ROWS_FILE).stat().st_size < 8 * count * width:
+                raise InputError.at(kept / ROWS_FILE, ROWS_OF_ANOTHER_RUN)
+            start = Continuation(
+                read_table(kept / ROWS_FILE, count, width), read_exact(kept / BESIDE_FILE, count), self.state
+            )
         elif system.recording is None:
             # the first rows of the results
             results, rows = self._results, self.folder / self.rows_file
@@ -203,37 +205,38 @@ def open_stopped(path: Path, stack: ExitStack) -> StoppedRun:
     Raises:
         InputError: The folder holds no run to go on with, or a checkpoint that is damaged or of another version.
     """
-    folder = path.parent if path.name == MANIFEST and path.is_file() else newest_run(path)
+    folder = path.parent if path.name == MANIFEST_FILE and path.is_file() else newest_run(path)
     if not folder.is_dir():
         raise InputError.at(
             path, "not the folder of a run; --resume and --until take the folder of an earlier run, as results/NAME"
         )
-    source = next((file for file in (folder / FOLDER / RUN, folder / MANIFEST) if file.is_file()), None)
+    source = next((file for file in (folder / CHECKPOINT / RUN, folder / MANIFEST_FILE) if file.is_file()), None)
     record = {} if source is None else content_of(source)
-    if source is None or (source.name == MANIFEST and "scenario" not in record):
+    if source is None or (source.name == MANIFEST_FILE and "scenario" not in record):
         raise InputError.at(folder, NOTHING_TO_RESUME)
-    sound, _ = sound_part(folder / MANIFEST, record)
+    sound, _ = sound_part(folder / MANIFEST_FILE, record)
     wrong = [key for key in record if key not in sound or (key == EXTRA and not has_type(record[key], EXTRA_KIND))]
     if wrong or "scenario" not in sound:
         raise InputError.at(source, DAMAGED_CHECKPOINT.format(reason=f"it has no {[*wrong, 'scenario'][0]}"))
     if (version := record.get("cosim_version")) != __version__:
         raise InputError.at(source, OTHER_VERSION.format(version=version, own=__version__))
     stack.enter_context(new_run(folder, "", "cosim run", force=True))
-    kept = folder / FOLDER
+    kept = folder / CHECKPOINT
     _wait_for_worker(kept)
     lasted: Any = record.get("timings", {}).get("simulate", 0.0)
     checkpoint: dict[str, Any] = {}
-    state = read_state(kept / STATE)
+    state = read_state(kept / STATE_FILE)
     if state is not None:
         try:
             checkpoint = unpack(state)
             if checkpoint["format"] != CHECKPOINT_VERSION:
                 raise InputError.at(
-                    kept / STATE, OTHER_VERSION.format(version=f"format {checkpoint['format']}", own=CHECKPOINT_VERSION)
+                    kept / STATE_FILE,
+                    OTHER_VERSION.format(version=f"format {checkpoint['format']}", own=CHECKPOINT_VERSION),
                 )
             lasted = float(checkpoint["elapsed"])
         except (ValueError, LookupError, TypeError, RecursionError) as error:  # also BadState
-            raise InputError.at(kept / STATE, DAMAGED_CHECKPOINT.format(reason=str(error))) from None
+            raise InputError.at(kept / STATE_FILE, DAMAGED_CHECKPOINT.format(reason=str(error))) from None
     rows = rows_in(folder)
     rows_file = record.get(EXTRA, {}).get("rows", "results.csv" if rows is None else rows.name)
     lasted = lasted if isinstance(lasted, float) else 0.0
@@ -256,8 +259,8 @@ def _wait_for_worker(kept: Path) -> None:
 
 def remove_checkpoints(folder: Path) -> None:
     """Remove the checkpoints of another run, once its worker has ended."""
-    _wait_for_worker(folder / FOLDER)
-    shutil.rmtree(folder / FOLDER, ignore_errors=True)
+    _wait_for_worker(folder / CHECKPOINT)
+    shutil.rmtree(folder / CHECKPOINT, ignore_errors=True)
 
 
 def write_run(folder: Path, record: Mapping[str, Any], rows_file: str, warnings: Sequence[str]) -> Path:
@@ -266,7 +269,7 @@ def write_run(folder: Path, record: Mapping[str, Any], rows_file: str, warnings:
     Args:
         warnings: Those of the record that do not come from the scenario.
     """
-    kept = folder / FOLDER
+    kept = folder / CHECKPOINT
     kept.mkdir(exist_ok=True)
     write_json(kept / RUN, {**record, EXTRA: {"rows": rows_file, "warnings": list(warnings)}})
     sync(kept / RUN)
@@ -281,9 +284,9 @@ def end_keeping(folder: Path, *, is_kept: bool, keeps_rows: bool = False) -> Non
         is_kept: Whether the folder has checkpoints of this run, not of another one.
         keeps_rows: Whether the rows stay, because the results have a part of them.
     """
-    kept = folder / FOLDER
+    kept = folder / CHECKPOINT
     if not is_kept:
         shutil.rmtree(kept, ignore_errors=True)
-    for name in (IN_USE,) if keeps_rows else (ROWS, BESIDE, IN_USE):
+    for name in (IN_USE,) if keeps_rows else (ROWS_FILE, BESIDE_FILE, IN_USE):
         with suppress(OSError):
             (kept / name).unlink(missing_ok=True)

@@ -33,7 +33,8 @@ from cosim.system.system import System, build_system
 
 MAX_CALL_TIME = 60.0  # allowed time [s] of a call during the trial of an FMU
 MOST_INNER_STEPS = 10_000  # of an FMU with a fixed internal step, so that the trial is short
-STEP, STEPS = 0.01, 500  # step [s] without a default experiment, and steps in an experiment without step size
+TRIAL_STEP_S = 0.01  # without a default experiment
+TRIAL_STEPS = 500  # in an experiment without step size
 
 
 def check_fmu(path: Path, checking: Checking) -> list[str]:
@@ -54,7 +55,7 @@ def check_fmu(path: Path, checking: Checking) -> list[str]:
 
         experiment = experiment_of(description)
         start, stop, step = (experiment.get(name, 0.0) for name in ("start", "stop", "step"))
-        step = step if step > 0.0 else (stop - start) / STEPS if stop > start else STEP
+        step = step if step > 0.0 else (stop - start) / TRIAL_STEPS if stop > start else TRIAL_STEP_S
         inner = float(getattr(description.coSimulation, "fixedInternalStepSize", None) or 0.0)
         if inner and takes_any_step(description):
             step = min(step, MOST_INNER_STEPS * inner)

@@ -22,7 +22,7 @@ from cosim.files.archive import ARCHIVE_DATE, STRUCTURE
 from cosim.fmi.description import unit_definition
 from cosim.ssp.read import FMU_TYPE, SSP_NAMESPACES, Units
 
-START, RESOURCES = "start", "resources"
+START_FILE, RESOURCES_FOLDER = "start", "resources"
 OSP = "http://opensimulationplatform.com/SSP/OSPAnnotations"
 OSP_TYPE = "com.opensimulationplatform"  # annotation from which libcosim reads the communication step
 Value = float | int | bool | str
@@ -83,12 +83,12 @@ def defined_units(used: Iterable[tuple[Any, str]]) -> Units:
 
 def write_ssp(path: Path, whole: Whole) -> Path:
     """Write an SSP completely or not at all, byte-reproducible."""
-    files = {model.name: f"{RESOURCES}/{model.name}.fmu" for model in whole.models}
+    files = {model.name: f"{RESOURCES_FOLDER}/{model.name}.fmu" for model in whole.models}
     members = {STRUCTURE: _xml(_description(whole, files))}
     if any(model.start for model in whole.models):
         start = _parameter_set((f"{m.name}.{name}", typed) for m in whole.models for name, typed in m.start.items())
         start.attrib |= _namespaces("ssv")
-        members[f"{RESOURCES}/{START}.ssv"] = _xml(start)
+        members[f"{RESOURCES_FOLDER}/{START_FILE}.ssv"] = _xml(start)
     members |= {files[model.name]: model.fmu.read_bytes() for model in whole.models}
     with draft_of(path) as draft, zipfile.ZipFile(draft, "w", zipfile.ZIP_DEFLATED) as archive:
         for name, data in members.items():
@@ -172,7 +172,7 @@ def _write_units(root: Element, tag: str, definitions: Units) -> None:
             base.set("offset", repr(definition[-1]))
 
 
-def _parameter_set(values: Iterable[tuple[str, tuple[str, Value]]], name: str = START) -> Element:
+def _parameter_set(values: Iterable[tuple[str, tuple[str, Value]]], name: str = START_FILE) -> Element:
     element = Element("ssv:ParameterSet", version="1.0", name=name)
     parameters = SubElement(element, "ssv:Parameters")
     for parameter, (kind, value) in values:

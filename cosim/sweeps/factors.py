@@ -24,7 +24,7 @@ from cosim.sweeps.sampling import MAX_SWEEP_RUNS, Factor, are_numbers, distribut
 from cosim.sweeps.sweep_file import DISTRIBUTIONS, SweepFile, Varied
 from cosim.system.system import System, build_system
 
-FIXED = ("duration", "start_time", "criteria", "name", "description", "limits")  # keys common to all runs
+FIXED_KEYS = ("duration", "start_time", "criteria", "name", "description", "limits")  # keys common to all runs
 FACTOR_FILE_KEYS = ("fmu", "file")  # last keys of paths to file names
 NOT_REAL = ("Boolean", "String", "Enumeration", "Integer")  # types of FMI without distributions
 MAX_TESTED_VALUES = 50  # values of a path tested before any run
@@ -135,7 +135,7 @@ class Factors:
                 text = f'"{short(first)}" is no longer supported. {cure} A sweep over designs varies the FMUs.'
             self._note(("vary", name), text, key=True)
             return None
-        if first in FIXED:
+        if first in FIXED_KEYS:
             self._note(("vary", name), f"{first} is one for all runs; give it by `set`", key=True)
             return None
 

@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from cosim.blocks.component import GET
 from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.shared_code import SharedCode
 from cosim.core.arrays import Array
@@ -28,7 +29,7 @@ from cosim.files.results import Results
 from cosim.isolation import worker as here
 from cosim.isolation.limits import Limits
 from cosim.isolation.process import Worker
-from cosim.isolation.rows import GET, Rows
+from cosim.isolation.rows import Rows
 from cosim.isolation.watch import Watch
 from cosim.master.master import StoppedRun, simulate
 from cosim.master.own_process import in_own_processes

@@ -30,8 +30,8 @@ if TYPE_CHECKING:
     import pyarrow
     from matplotlib.figure import Figure
 
-DATABASE, TABLE, RECORD = "runs.sqlite", "sweep.parquet", "sweep.json"
-GROUP = 4096  # runs per write
+DATABASE, SWEEP_TABLE, SWEEP_RECORD = "runs.sqlite", "sweep.parquet", "sweep.json"
+RUNS_PER_WRITE = 4096  # runs per write
 STORED_EVERY = 0.2  # [s]
 DATABASE_VERSION = 3  # of the database; one of another format is not continued
 
@@ -141,7 +141,7 @@ def write_table(
 
     remaining = iter(runs)
     with draft_of(path) as draft, pq.ParquetWriter(draft, schema, compression="zstd") as writer:
-        while part := list(itertools.islice(remaining, GROUP)):
+        while part := list(itertools.islice(remaining, RUNS_PER_WRITE)):
             done = [m for m in part if m.status == "ok"]
             columns: dict[str, Any] = {name: [values[m.run] for m in part] for name, values in table.items()}
             columns |= {"run": [m.run for m in part], "status": [m.status for m in part]}
@@ -213,13 +213,13 @@ class Runs:
     @property
     def criteria(self) -> dict[str, Array]:
         """Return the values of each criterion in the runs, NaN without one."""
-        table, _ = read_table(self.folder / TABLE)
+        table, _ = read_table(self.folder / SWEEP_TABLE)
         names = [c["name"] for c in self.record["criteria"]]
         return {name: np.array(table.column(name).to_pylist(), float) for name in names}
 
     def signals(self, most: int) -> tuple[Array, dict[int, dict[str, Array]]]:
         """Return the sampled times [s] of the runs, and number of a run → its signals, of `most` completed runs."""
-        table, about = read_table(self.folder / TABLE)
+        table, about = read_table(self.folder / SWEEP_TABLE)
         completed = np.flatnonzero([status == "ok" for status in table.column("status").to_pylist()])
         spread = np.linspace(0, completed.size - 1, min(most, completed.size)).astype(int)
         rows = table.take(completed[spread]).to_pylist()
@@ -260,7 +260,7 @@ class Runs:
     def to_pandas(self) -> pandas.DataFrame:
         """Return one row per run: varied values, criteria, signals; raise ImportError without pandas."""
         pandas_for_frames()
-        frame: pandas.DataFrame = read_table(self.folder / TABLE)[0].to_pandas()
+        frame: pandas.DataFrame = read_table(self.folder / SWEEP_TABLE)[0].to_pandas()
         return frame
 
     def __repr__(self) -> str:
@@ -276,6 +276,6 @@ def hardest(record: Mapping[str, Any]) -> Mapping[str, Any]:
 
 def read_runs(folder: Path) -> Runs | None:
     """Return a completed sweep's runs in a folder."""
-    if not all((folder / name).is_file() for name in (RECORD, TABLE)):
+    if not all((folder / name).is_file() for name in (SWEEP_RECORD, SWEEP_TABLE)):
         return None
-    return Runs(content_of(folder / RECORD), folder)
+    return Runs(content_of(folder / SWEEP_RECORD), folder)

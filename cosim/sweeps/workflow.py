@@ -37,7 +37,7 @@ from cosim.sweeps.pool import MakeRuns, dask_cluster, make_runs_here
 from cosim.sweeps.reading import Sweep, Swept, read_sweep
 from cosim.sweeps.runs import RunResult, assemble, make_run, sampled_rows
 from cosim.sweeps.sampling import share_interval
-from cosim.sweeps.store import DATABASE, RECORD, TABLE, Database, read_table, write_table
+from cosim.sweeps.store import DATABASE, SWEEP_RECORD, SWEEP_TABLE, Database, read_table, write_table
 
 PARTS_FOLDER = "parts"  # folder of the parts made by --part, as parts/17-of-200
 MAX_LISTED_FAILURES = 20
@@ -124,7 +124,7 @@ def sweep(
     goes_on = resume or join or part is not None
     with ExitStack() as stack:
         home = stack.enter_context(new_run(home, study.name, "cosim sweep", force=force or goes_on))
-        check_writable(home, (TABLE, RECORD, "report.html", DATABASE), inputs)
+        check_writable(home, (SWEEP_TABLE, SWEEP_RECORD, "report.html", DATABASE), inputs)
         folder = home if part is None or folder is None else folder
         stored = [*folder.glob(DATABASE), *sorted(folder.glob(f"{PARTS_FOLDER}/*/{DATABASE}"))]
         if not goes_on:
@@ -193,8 +193,8 @@ def sweep(
                 return Swept(record, home, study, made)
             names, signals = [limit.name for limit in limits], study.job.signals
             about = {"key": study.key, "times": record["times"], "units": record["units"], "signals": signals}
-            write_table(folder / TABLE, _all_runs(databases), study.columns, names, signals, about)
-            write_json(folder / RECORD, record, indent=1, allow_nan=False)
+            write_table(folder / SWEEP_TABLE, _all_runs(databases), study.columns, names, signals, about)
+            write_json(folder / SWEEP_RECORD, record, indent=1, allow_nan=False)
             for database in databases:
                 database.remove()
         swept = Swept(record, folder, study, made)
@@ -211,15 +211,15 @@ def sweep(
 
 def _read_completed(folder: Path, key: str) -> dict[str, Any] | None:
     """Return the record of the same sweep if it is complete in this folder; raise InputError for a different sweep."""
-    if not (folder / TABLE).is_file() or not (record := content_of(folder / RECORD)):
+    if not (folder / SWEEP_TABLE).is_file() or not (record := content_of(folder / SWEEP_RECORD)):
         return None
     try:
-        _, about = read_table(folder / TABLE)
+        _, about = read_table(folder / SWEEP_TABLE)
     except (OSError, ValueError):
         return None
     if about.get("key") != key:
         cure = "give another folder as --out, or use --force to start again"
-        raise InputError.at(folder / TABLE, f"is of another sweep, or of other FMUs; {cure}")
+        raise InputError.at(folder / SWEEP_TABLE, f"is of another sweep, or of other FMUs; {cure}")
     return record
 
 

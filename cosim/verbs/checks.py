@@ -30,9 +30,9 @@ if TYPE_CHECKING:
     from cosim.simulation.report.system_diagram import Graph
 
 
-LIBRARIES = ("fmpy", "numpy", "scipy", "control", "pyarrow", "sympy", "pythonfmu")  # libraries whose versions are shown
+VERSIONED_LIBRARIES = ("fmpy", "numpy", "scipy", "control", "pyarrow", "sympy", "pythonfmu")
 CHECKED_KINDS = "a scenario, study, sweep, protocol, model, log, SSP or FMU"
-MOST_LINES = 200  # number of lines printed without --json
+MAX_PRINTED_LINES = 200  # number of lines printed without --json
 CAUSALITIES = {"inputs": ("input",), "outputs": ("output",), "parameters": ("parameter", "structuralParameter")}
 EXPERIMENT_UNITS = {"start": " s", "stop": " s", "step": " s", "tolerance": ""}  # of a default experiment
 STRUCTURE_TITLES = ("pairs", "connections", "dampings", "storages", "sensors", "inputs", "parameters")
@@ -162,9 +162,9 @@ def check_command(*, json: bool = False, **given: Any) -> None:
     Example: cosim check scenario.yaml build/*.fmu
     """
     files, lines = given["files"], check(**given)
-    say(*lines[:MOST_LINES])
-    if len(lines) > MOST_LINES:
-        say(f"… and {len(lines) - MOST_LINES} more; --json lists all of them")
+    say(*lines[:MAX_PRINTED_LINES])
+    if len(lines) > MAX_PRINTED_LINES:
+        say(f"… and {len(lines) - MAX_PRINTED_LINES} more; --json lists all of them")
     say(f"no faults in {', '.join(map(str, files))}")
     if json:
         say_json({"files": [str(file) for file in files], "findings": lines, "faults": []})
@@ -442,7 +442,7 @@ def doctor_command(fmus: list[ModelName] | None = None, *, json: bool = False) -
     from cosim.fmi.native.compiler import compiler, cure, this_platform
 
     versions = {"cosim": __version__, "Python": platform.python_version()}
-    for name in LIBRARIES:
+    for name in VERSIONED_LIBRARIES:
         with suppress(PackageNotFoundError):
             versions[name] = version(name)
     here, command = this_platform(), compiler()

@@ -59,7 +59,7 @@ class Output:
 
 OUTPUT = Output()  # of this process, set by the options of any command
 TONE_COLOURS = {"good": "green", "warn": "yellow", "bad": "red"}
-LAST: list[Callable[[], None]] = []  # functions called when everything about the command has been printed
+AT_THE_END: list[Callable[[], None]] = []  # functions called when everything about the command has been printed
 
 
 def echo(text: str, *, err: bool = False, tone: str = "") -> None:
@@ -170,7 +170,7 @@ def show_page(page: Any, kind: str, title: str, *limits: float, opens: bool = Tr
     """Open a served page in the browser; it is served until the user closes it."""
     from cosim.pages.server import open_page
 
-    LAST.append(lambda: page.wait_for_close(warn, *limits))
+    AT_THE_END.append(lambda: page.wait_for_close(warn, *limits))
     note = Note(f"{kind}: {page.url}")
     warn(note) if opens and open_page(page.url, title) else echo(note, err=True)
 
@@ -304,7 +304,7 @@ def entry() -> None:
         text = str(error) or "not enough memory; use a shorter duration, longer steps, or record fewer signals"
         code = say_error(CosimError(text), SimulationError.exit_code)
         if isinstance(error, Terminated):
-            LAST.clear()  # no page is served after the end that was asked for
+            AT_THE_END.clear()  # no page is served after the end that was asked for
     except OSError as error:  # an unwritable folder, or a full disk
         text = "the disk is full" if is_full(error) else error.strerror or str(error)
         text = f"{error.filename}: {text}" if error.filename else text
@@ -322,6 +322,6 @@ def entry() -> None:
         code = 2
     finally:
         with suppress(KeyboardInterrupt, Terminated):
-            while LAST:
-                LAST.pop()()
+            while AT_THE_END:
+                AT_THE_END.pop()()
     sys.exit(code)

@@ -18,7 +18,7 @@ from cosim.core.settings import Count, NotNegative, Port, Whole
 from cosim.core.text import counted, some
 from cosim.files.artefact import artefacts
 from cosim.files.files import FilePath, check_writable
-from cosim.files.folders import RESULTS, newest_run, warnings_on
+from cosim.files.folders import RESULTS_FOLDER, newest_run, warnings_on
 from cosim.verbs.cli import progress_bar, say, say_json, show, show_page, table, warn
 
 if TYPE_CHECKING:
@@ -221,7 +221,7 @@ def list_command(
     from cosim.core.text import did_you_mean
     from cosim.files.run_entries import find_entries
 
-    root = results or RESULTS
+    root = results or RESULTS_FOLDER
     listed = find_entries(names, root)
     titles = {title for entry in listed for title in entry.merits}
     if sort in titles:
@@ -282,7 +282,7 @@ def open_command(
     from cosim.files.folders import state_of
     from cosim.files.run_entries import Selected, entries, select_groups
 
-    root = results or RESULTS
+    root = results or RESULTS_FOLDER
     found = [Selected(e.folder, e) for e in entries(root)[-1:]] if run is None else select_groups([run], root)[0]
     if len(found) != 1:
         names = some([f"{s.entry.number} {s.entry.name}" for s in found if s.entry is not None], NAMED_RUNS)
@@ -328,7 +328,7 @@ def view_command(
     from cosim.pages.runs import find_runs, open_runs
     from cosim.pages.view_page import view_page
 
-    root = results or RESULTS
+    root = results or RESULTS_FOLDER
     layouts = Layouts(layout or root / LAYOUTS)
     named = read_column_names(columns or (), Path((runs or ["--column"])[0]))
     places, notes = find_runs(runs or (), root, named)
@@ -374,7 +374,7 @@ def gc_command(
     """
     from cosim.files.run_entries import Removal, entries, find_entries, plan_removal, remove
 
-    root = results or RESULTS
+    root = results or RESULTS_FOLDER
     chosen = find_entries(names, root)
     plan = plan_removal(entries(root), keep=keep, older=older, chosen=chosen)
     warn(*(text for entry in chosen for text in entry.warnings))

@@ -27,7 +27,7 @@ from plant.hovercraft import Hovercraft
 
 SIDE_COLOURS = {"right": "warm", "left": "cool"}
 SETTLING_BAND = 0.02  # m and rad: 2 % of the unit steps in the thesis
-MERGE = 0.1  # s; changes of a reference closer than this are one ramp
+MERGED_RAMP_S = 0.1  # s; changes of a reference closer than this are one ramp
 TILT_MAX = Settings().tilt_max  # [rad], default of the controller FMUs
 
 
@@ -136,10 +136,10 @@ class Response(NamedTuple):
 def reference_steps(time: Array, reference: Array) -> list[tuple[int, int, int]]:
     """Return the rows of begin, arrival and end of each change of a reference.
 
-    Row 0 counts as a change. Changes within MERGE form one ramp; a change ends at the next one.
+    Row 0 counts as a change. Changes within MERGED_RAMP_S form one ramp; a change ends at the next one.
     """
     rows = np.flatnonzero(np.abs(np.diff(reference)) > 1e-12) + 1
-    apart = (np.diff(rows) > 1) & (np.diff(time[rows]) > MERGE)
+    apart = (np.diff(rows) > 1) & (np.diff(time[rows]) > MERGED_RAMP_S)
     ramps = [ramp.tolist() for ramp in np.split(rows, np.flatnonzero(apart) + 1) if ramp.size]
     begins = [0, *(ramp[0] for ramp in ramps)]
     return list(zip(begins, [0, *(ramp[-1] for ramp in ramps)], [*begins[1:], reference.size], strict=True))

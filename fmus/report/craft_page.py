@@ -36,7 +36,7 @@ from plant.hovercraft import Hovercraft
 POSES = 1000  # of the moving picture
 TEMPLATE = Path(__file__).with_name("templates") / "craft.html.j2"
 MAX_RESPONSES = 16
-HELD = ("reference", "command")  # lines that are held between rows
+HELD_LINES = ("reference", "command")  # lines that are held between rows
 OUTPUT_UNITS = {q.name: q.unit for q in Hovercraft.outputs}
 STATE_TITLES = {  # of the controlled and estimated states
     "x": "Distance along the craft's axis",
@@ -236,7 +236,7 @@ def tilt_panels(craft: Craft) -> list[Panel]:
 def _panel(title: str, unit: str, lines: Sequence[tuple[str, Array, str]], band: Any = None, **more: Any) -> Panel:
     """Return a panel of the recorded ones of lines; references and commands are held between rows."""
     panel = signal_panel(title, unit, [line for line in lines if is_drawn(line[1])], band, **more)
-    return replace(panel, traces=[replace(t, held=t.label in HELD) for t in panel.traces])
+    return replace(panel, traces=[replace(t, held=t.label in HELD_LINES) for t in panel.traces])
 
 
 def _band(craft: Craft, name: str, centre: Array, label: str) -> tuple[str, Array, Array] | None:

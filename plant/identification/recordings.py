@@ -223,7 +223,7 @@ def read_recording(path: Path) -> Recording:
 
 RAIL_STEPS = 1.5  # converter steps from the end of the range within which a reading is saturated
 RAIL_SLACK = 0.01  # share of the range that a voltmeter may exceed
-MIN_POINTS = 3  # points of a curve
+MIN_CURVE_POINTS = 3  # points of a curve
 RAIL_ERRORS = 3.0  # distance of a point from the rail in standard errors, so that chance selects no points
 
 
@@ -327,9 +327,9 @@ def calibrate(protocol: Protocol, hung: Mapping[str, Sequence[Recording]]) -> di
         turns = (np.diff(v) <= 0) | (steps * (np.median(steps) if steps.size else 0.0) <= 0)
         if (beyond := (volts < -RAIL_SLACK * limit) | (volts > (1.0 + RAIL_SLACK) * limit)).any():
             text = f"a point has {volts[beyond][0]:g} V, outside 0 to {limit:g} V; give volts, or `converter_range`"
-        elif f.size < MIN_POINTS:
+        elif f.size < MIN_CURVE_POINTS:
             inside = f"{f.size} of {loads.size} points are further from the ends of the range than their error"
-            text = f"{inside}; at least {MIN_POINTS} are needed; measure more points inside the range"
+            text = f"{inside}; at least {MIN_CURVE_POINTS} are needed; measure more points inside the range"
         elif turns.any():
             low, high = v[np.argmax(turns)], v[np.argmax(turns) + 1]
             text = f"between {low:.4g} V and {high:.4g} V the load does not increase monotonically; measure again"

@@ -41,7 +41,7 @@ from plant.identification.recordings import Cells, Recording, calibrate, load_ru
 from plant.identification.report import page
 from plant.powertrain import ground_effect
 
-RECORD, REPORT = "identify.json", "report.html"
+IDENTIFY_RECORD, REPORT = "identify.json", "report.html"
 # of a power-train
 IDENTIFIED_PARAMETERS = {"thrust_offset", "thrust_slope", "ground_effect_exponent", "lag", "assembly_arm"}
 # in order of dependence; a step test takes precedence for the lag
@@ -126,7 +126,7 @@ def identify(
             protocol, model, measured = prepare(path)
             read = [path, *(r.path for recordings in measured.values() for r in recordings if r.path)]
             name, model_file = protocol.file.name, "powertrain.yaml"
-        check_writable(place, (model_file, RECORD, REPORT), read)
+        check_writable(place, (model_file, IDENTIFY_RECORD, REPORT), read)
         if craft is not None:
             outcome, record = Outcome(craft.results(), model_file), {"name": name}
             recorded = counted(len(read) - 1, "log")
@@ -152,7 +152,7 @@ def identify(
         remove_earlier(place, read=read)
         write_text(place / model_file, text)
         plain = json.loads(json.dumps(whole), parse_constant=lambda _: None)  # null for missing numbers
-        write_json(place / RECORD, plain, indent=1)
+        write_json(place / IDENTIFY_RECORD, plain, indent=1)
         if shown:
             write_text(place / REPORT, shown)
         return outcome

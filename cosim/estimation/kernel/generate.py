@@ -27,7 +27,7 @@ from cosim.estimation.kernel.kernel import (
     DEVIATION,
     DISTURBANCE,
     EARLIER,
-    START,
+    START_PREFIX,
     Layout,
 )
 from cosim.files.cache import fingerprint, load_or_make
@@ -157,7 +157,7 @@ def generate_stepped(model: FmuModel, measured: Sequence[str], unnamed: bool = F
             place = kind.place.position if issubclass(kind, Force) else kind.place.state
             places[model.outputs[place].name] = None
     prefixes = (EARLIER, DISTURBANCE, DEVIATION)
-    states = (*names, *(prefix + n for prefix in prefixes for n in measured), *(START + n for n in model.starts))
+    states = (*names, *(prefix + n for prefix in prefixes for n in measured), *(START_PREFIX + n for n in model.starts))
     layout = _layout(
         body,
         measured,
@@ -357,7 +357,7 @@ RATE = "rate of "  # prefix of the rate of an output in co-simulation
 LOCAL = "local"  # prefix of a local shape's parameters: `local.1.of.position`, and `local.1.of.1` of the constant
 SLOTS, KNOTS = 2, 8  # simultaneous local shapes, and bumps of each
 ROLES = ("of", "by")
-REACH = 2.0  # ζ at which a bump reaches 0
+BUMP_REACH = 2.0  # ζ at which a bump reaches 0
 
 
 @dataclass(frozen=True)
@@ -491,7 +491,7 @@ def local_shape(
 
 def bump(x: Any) -> Any:
     """Return (1 − x²/4)³ where positive, for arrays or symbols."""
-    below = 1 - x * x / REACH**2
+    below = 1 - x * x / BUMP_REACH**2
     return ((below + abs(below)) / 2) ** 3
 
 

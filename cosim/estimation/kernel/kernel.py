@@ -18,7 +18,7 @@ DISTURBANCE = "disturbance."  # prefix of a forced state's unknown input, a stat
 CONSTANT_PREFIX = "constant."  # prefix of a parameter as constant state, for the filter to estimate
 DEVIATION = "deviation."  # prefix of the deviation of a free run's output, which unknown inputs drive
 EARLIER = "earlier."  # prefix of the deviation in the row before, which stands for hidden states
-START = "start."  # prefix of a start value of an FMU for co-simulation, a constant state
+START_PREFIX = "start."  # prefix of a start value of an FMU for co-simulation, a constant state
 CORRELATION_TIME = "disturbance.time"  # parameter with the correlation time of unknown inputs [s]
 
 
@@ -71,7 +71,7 @@ class Layout:
     @property
     def start_places(self) -> list[int]:
         """Return the indices of the start states of a free run."""
-        return [k for k, name in enumerate(self.states) if name.startswith(START)]
+        return [k for k, name in enumerate(self.states) if name.startswith(START_PREFIX)]
 
     @property
     def forced_places(self) -> list[int]:

@@ -20,7 +20,7 @@ from cosim.core.arrays import Array, NamedValues
 from cosim.core.errors import InputError
 from cosim.core.units import unit_of_rate, unit_product
 from cosim.estimation.kernel.backend import kernel
-from cosim.estimation.kernel.kernel import DISTURBANCE, START, Begin, Data, Kernel, simulate_all
+from cosim.estimation.kernel.kernel import DISTURBANCE, START_PREFIX, Begin, Data, Kernel, simulate_all
 from cosim.estimation.kernel.library_kernel import NO_LIMITS, LibraryOf
 from cosim.estimation.subject.candidates import Candidate
 from cosim.estimation.subject.interface import Predict, Replayer, Start, Workplace
@@ -73,7 +73,7 @@ class FmuSubject(ModelSubject):
         self.display = display_units([self._description])
         names = (kind.name for kind in (*self.model.catalogue, *self.model.sensors))
         self.told_apart_by = {**self.model.told_apart_by, **experiments_for(names)}
-        self.start_variance = {START + with_place(s.name): s.size**2 for s in structure.starts}
+        self.start_variance = {START_PREFIX + with_place(s.name): s.size**2 for s in structure.starts}
 
     @classmethod
     def of_fmu(
@@ -157,7 +157,7 @@ class FmuSubject(ModelSubject):
 
     def start(self) -> dict[str, float]:
         """Return the start value of each state."""
-        own = {START + with_place(s.name): s.quantity.start for s in self.structure.starts}
+        own = {START_PREFIX + with_place(s.name): s.quantity.start for s in self.structure.starts}
         return {q.name: q.start for q in self.states} | own
 
     def start_of_log(self, readings: NamedValues) -> dict[str, float]:
@@ -167,7 +167,7 @@ class FmuSubject(ModelSubject):
             if s.gain and (name := outputs[s.shown].name) in readings:
                 low, high = s.quantity.bounds
                 value = s.quantity.start + (readings[name] - outputs[s.shown].start) / s.gain
-                start[START + with_place(s.name)] = min(max(value, low), high)
+                start[START_PREFIX + with_place(s.name)] = min(max(value, low), high)
         return {**start, **readings}
 
     def substeps(self, step: float) -> int:

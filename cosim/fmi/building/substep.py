@@ -38,8 +38,8 @@ MAX_CHOSEN = 0.5  # |λ|·h of a chosen substep: R is within 0.05 % of exp(λh),
 MOST_SUBSTEPS = 100  # RK4 substeps per `rate`; a model with more is stiff
 LEAST_STIFF = 8  # implicit substeps per row
 MAX_RESOLVED = 10.0  # |λ| times a row up to which the implicit method resolves a mode; faster modes decay within a row
-DEAD = 5.0  # -Re(λ) times a row after which a mode has decayed to 0.7 %
-GROWTH = 1e-9  # tolerance of |R| above 1
+DECAYED_EIGENVALUE = 5.0  # -Re(λ) times a row after which a mode has decayed to 0.7 %
+GROWTH_TOLERANCE = 1e-9  # tolerance of |R| above 1
 EIGENVALUE_POINTS = 500  # of a log for computing eigenvalues
 MAX_LOG_ROWS = 20_000  # of a log for running the model
 
@@ -82,7 +82,7 @@ def with_substep(loaded: LoadedModel, logs: Sequence[RunLog] = ()) -> tuple[Load
         for mode, h in sorted(modes, key=lambda pair: -pair[0].speed * pair[1]):
             z = mode.eigenvalue * h
             growth = abs(1.0 + z * (1.0 + z / 2.0 * (1.0 + z / 3.0 * (1.0 + z / 4.0))))
-            if z.real < 0.0 and growth > 1.0 + GROWTH:
+            if z.real < 0.0 and growth > 1.0 + GROWTH_TOLERANCE:
                 reason = f"substep is {_ms(model.substep)}, unstable for this model: {mode}"
                 cure = f"use at most {_ms(MAX_DEFAULT / mode.speed)}, or omit substep, so that cosim chooses it"
                 message = f"{reason}, which RK4 amplifies in steps of {_ms(h)}; {cure}"
@@ -103,7 +103,7 @@ def with_substep(loaded: LoadedModel, logs: Sequence[RunLog] = ()) -> tuple[Load
         if mode.eigenvalue.real > 0.0:
             reason = f"{name} is unstable: {mode} that grows"
             cure = "check its parameters, start values and the units of the log"
-        elif model.integrator == RK4 and mode.eigenvalue.real * model.rate <= -DEAD:
+        elif model.integrator == RK4 and mode.eigenvalue.real * model.rate <= -DECAYED_EIGENVALUE:
             cure = "set integrator = 'stiff', or omit it"
         raise InputError([text.fault(type(model), "", f"{reason}; {cure}")])
     else:
@@ -151,7 +151,7 @@ class _Fastest:
         """Return True if all modes too fast for RK4 decay within a row."""
         values = np.concatenate(self.eigenvalues)
         fast = values[self.model.rate * np.abs(values) > MOST_SUBSTEPS * MAX_CHOSEN]
-        return bool(np.all(-self.row * fast.real >= DEAD))
+        return bool(np.all(-self.row * fast.real >= DECAYED_EIGENVALUE))
 
     def stiff_substep(self) -> float:
         """Return the longest accurate implicit substep [s]."""

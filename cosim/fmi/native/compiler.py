@@ -28,7 +28,7 @@ POSITION = [] if sys.platform == "win32" else ["-fPIC"]  # option for code of li
 COMPILER_TIMEOUT_S = 900.0  # time limit of the compiler [s]
 ZIG = "ziglang"  # C compiler for every platform, on PyPI
 # library headers with plain names: Linux, Windows; with packed names: macOS
-PLAIN, PACKED = (b"\x7fELF", b"MZ"), (b"\xcf\xfa\xed\xfe", b"\xca\xfe\xba\xbe")
+UNPACKED_NAMES, PACKED_NAMES = (b"\x7fELF", b"MZ"), (b"\xcf\xfa\xed\xfe", b"\xca\xfe\xba\xbe")
 
 
 @dataclass(frozen=True)
@@ -230,9 +230,9 @@ def library_of(
 
 def _missing_exports(library: bytes, exports: Sequence[str]) -> list[str]:
     """Return the required functions that a library lacks."""
-    if library.startswith(PACKED):  # names are stored as a tree of parts
+    if library.startswith(PACKED_NAMES):  # names are stored as a tree of parts
         return []
-    return [name for name in exports if not library.startswith(PLAIN) or name.encode() + b"\0" not in library]
+    return [name for name in exports if not library.startswith(UNPACKED_NAMES) or name.encode() + b"\0" not in library]
 
 
 def load_library(source: str, *headers: Path) -> ctypes.CDLL:

@@ -34,7 +34,7 @@ from cosim.terms.code import TermCode
 
 TYPEDEF = re.compile(r"typedef\s+([^;()]*?)\b(fmi[23]\w+)TYPE\s*\(([^;]*?)\)\s*;", re.DOTALL)
 COMMENT = re.compile(r"/\*.*?\*/", re.DOTALL)
-PARAMETER = re.compile(r"(?P<type>.*?[\s*])?(?P<name>\w+)\s*(?P<array>\[\])?", re.DOTALL)
+C_PARAMETER = re.compile(r"(?P<type>.*?[\s*])?(?P<name>\w+)\s*(?P<array>\[\])?", re.DOTALL)
 # FMI functions that are hand-written in C, without prefix; the others are forwarded
 HANDWRITTEN_FUNCTION = re.compile(
     r"^(?:DERIVATIVE\(|(?!static|typedef)[\w ]+[ *](?:fmi\d|FMI\())(\w+)\)?[(\n]", re.MULTILINE
@@ -69,7 +69,7 @@ def forwarding_code(header: str, wrapper: str) -> str:
             continue
         parameters: list[str] = []
         for part in map(str.strip, text.split(",")):
-            match = PARAMETER.fullmatch(part)
+            match = C_PARAMETER.fullmatch(part)
             if match is None or part == "void":
                 continue
             is_named = match["type"] is not None and match["type"].strip() not in ("", "const")
@@ -194,7 +194,7 @@ ORIGINAL = "resources/original/"  # the whole original inside the wrapped FMU
 WRAPPER = "resources/wrapper/"  # the C code of the wrapper
 # members that are also in their own place
 COPIED_MEMBERS = ("documentation/", "terminalsAndIcons/", "extra/", "model.png")
-FLAGS = {"SHAPES": "shape_all", "PORTS": "port_inputs", "RATES": "added_rates", "READS": "readings"}
+HOOK_MACROS = {"SHAPES": "shape_all", "PORTS": "port_inputs", "RATES": "added_rates", "READS": "readings"}
 
 
 def wrap(
@@ -332,7 +332,7 @@ def _config(
         "DELAY": f"({names.index(terms.delay) if terms.delay else -1})",
         "SUBSTEP": number(substep),
         "ANY_STEP": int(takes_any_step(about) and not may_pend),  # a pending step continues in the background
-        **{flag: int(hook in terms.hooks) for flag, hook in FLAGS.items()},
+        **{flag: int(hook in terms.hooks) for flag, hook in HOOK_MACROS.items()},
     }
     whole = {
         "INPUT_REFERENCE": roles["input"],

@@ -52,7 +52,7 @@ from cosim.residuals.residual_statistics import FREE_RUN, pool_errors, remaining
 from cosim.residuals.windows import SKIPPED, Replay, window_rows
 
 FLOOR_SEED = 20121
-DRAWS = 20
+FLOOR_DRAWS = 20
 FALSE_ALARM_RATE = 0.01  # probability of a false alarm for a rise on any channel
 MAX_REPLAY_DIFFERENCE = 1e-9  # of fast replays from those of the delivered object, relative to max(1, largest value)
 
@@ -338,7 +338,7 @@ def noise_floor(variant: Variant, problem: Problem, logs: Sequence[Log], rng: np
     covariance, and so stays near the motion of the log. A floor above the standard deviation of its channel is omitted.
     """
     problem = begin_replays(variant, problem, logs)
-    draws: list[list[dict[str, Array]]] = [[] for _ in range(-(-DRAWS // len(logs)))]
+    draws: list[list[dict[str, Array]]] = [[] for _ in range(-(-FLOOR_DRAWS // len(logs)))]
     for index, log in enumerate(logs):
         replays = LogReplays(variant, problem, log, index)
         for draw in draws:

@@ -18,7 +18,7 @@ from typing import Any, Self
 import numpy as np
 from scipy.special import ndtri
 
-from cosim.estimation.fit import CONVERGED, NOISE_DIFFERENCE, Fit
+from cosim.estimation.fit import CONVERGED_GAIN, NOISE_DIFFERENCE, Fit
 from cosim.estimation.parallel import in_parallel
 from cosim.estimation.posing import coarsen, erring_stamps, with_equations_trusted, with_finer_steps, with_likely_starts
 from cosim.estimation.problem import Problem
@@ -322,7 +322,7 @@ class Attributor(Search):
             moved = {name for name in moved if h.fit.values[name] != given[name]}
             acting = tuple(c for c in h.candidates if moved.intersection(c.parameters))
             known = self.tried.get(key_of(acting))
-            least = h.fit.objective + CONVERGED * self.problem.scatter
+            least = h.fit.objective + CONVERGED_GAIN * self.problem.scatter
             if h.ended and least + self.cost(acting) < limit and not (known and known.fit.objective <= least):
                 starts[key_of(acting)] = acting, h.fit
         return [*starts.values()]

@@ -16,7 +16,7 @@ from typing import TypeVar
 import numpy as np
 
 from cosim.core.arrays import NamedValues
-from cosim.estimation.fit import CONVERGED, MAX_ITERATIONS, Fit, fit, initial_fit
+from cosim.estimation.fit import CONVERGED_GAIN, MAX_ITERATIONS, Fit, fit, initial_fit
 from cosim.estimation.parallel import in_parallel
 from cosim.estimation.posing import fit_growing
 from cosim.estimation.problem import Noise, Problem
@@ -165,7 +165,7 @@ class Search:
             if not problem.trusted:
                 power = rng.uniform(problem.noise.smallest, problem.noise.largest)
                 noise = replace(noise, power=power, memory=problem.plain.memory)
-            other = fit(problem, free, values, noise, goal=best.objective - CONVERGED * problem.scatter)
+            other = fit(problem, free, values, noise, goal=best.objective - CONVERGED_GAIN * problem.scatter)
             best = min(best, other, key=attrgetter("objective"))
         # Free runs that leave the motion of the logs are kept there by large unknown inputs.
         is_away = problem.layout.is_free_run and np.any(best.noise.power > problem.noise.plain)
@@ -215,7 +215,7 @@ class Search:
         def refit(start: tuple[Parts, Fit]) -> Hypothesis:
             fitted = self.hypothesis(*start, loosen=False)
             earlier = self.tried.get(fitted.key)
-            enough = CONVERGED * self.problem.scatter
+            enough = CONVERGED_GAIN * self.problem.scatter
             if earlier and earlier.fit is not start[1] and earlier.fit.objective < fitted.fit.objective - enough:
                 fitted = self.hypothesis(fitted.candidates, earlier.fit, loosen=False)
             ended = [h for h in self.tried.values() if h.ended and h.key < fitted.key]

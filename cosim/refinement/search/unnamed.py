@@ -212,7 +212,7 @@ def find_unnamed_terms(problem: Problem, at: Fit, price: float, units: Mapping[s
 #
 
 
-EVERY = 4  # rows between linearizations, sufficient for a regression
+LINEARIZATION_ROWS = 4  # rows between linearizations, sufficient for a regression
 DIFFERENCE_SIGN = " − "
 ENDS = 0.5 * (1.0 - CERTAIN), 0.5 * (1.0 + CERTAIN)  # quantiles of a signal, beyond which rows are few
 
@@ -327,7 +327,7 @@ def promising_shapes(test: ScoreTest, price: float, units: Mapping[str, str]) ->
     if not names:
         return [], 0, {}
     with np.errstate(invalid="ignore", over="ignore"):
-        missing = smooth_logs(problem, at, EVERY)
+        missing = smooth_logs(problem, at, LINEARIZATION_ROWS)
     signals = {n: z for n, z in signals_of(problem, missing).items() if n in names}
     if not all(np.isfinite(z).all() for z in (missing.value, *signals.values())):
         return [], 0, signals

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 PAGE = Path(__file__).with_name("templates") / "cell.html.j2"
 MAX_VALUES = 100_000  # in a cell: some 300 kB of the notebook
-MAX_CURVES = 24  # in a cell; callers choose them
+MAX_CELL_CURVES = 24  # in a cell; callers choose them
 MIN_POINTS, MAX_POINTS = 50, 2000  # of each curve that keep its peaks
 ROW_HEIGHT, MAX_HEIGHT = 330, 700  # of two charts side by side, and of the frame [px]
 

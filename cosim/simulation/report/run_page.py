@@ -22,7 +22,7 @@ from cosim.credibility.validity import output_panels, validity_sentence
 from cosim.files.files import write_text
 from cosim.files.results import Results, is_rounded
 from cosim.files.yaml_file import short
-from cosim.report.cell.cell import MAX_CURVES, cell_of, rows_to_show
+from cosim.report.cell.cell import MAX_CELL_CURVES, cell_of, rows_to_show
 from cosim.report.charts import Charts, Drawing
 from cosim.report.panels import Band, Panel, Trace, axis_unit, by_unit, extent
 from cosim.report.template import Row, command, render
@@ -44,7 +44,9 @@ from cosim.simulation.report.system_diagram import graph_of_run
 TEMPLATE = Path(__file__).with_name("templates") / "run.html.j2"
 MAX_TILES = 4
 LIMIT_LABEL = "allowed"
-REFERENCE = re.compile(r"(?<=\.)ref(erence)?_|_(ref|reference|sp|set|setpoint|set_point|desired|target|wanted|cmd)$")
+REFERENCE_PART = re.compile(
+    r"(?<=\.)ref(erence)?_|_(ref|reference|sp|set|setpoint|set_point|desired|target|wanted|cmd)$"
+)
 WIDTH_KEYS = {"settling_time": "band", "peak": "max", "final_error": "max"}  # criterion → its distance from the target
 MAX_CONNECTION_CHARTS = 40  # with a separate chart; signals of further connections are among the others
 MAX_WIRES = 200  # in the system diagram; `cosim graph` draws all
@@ -160,7 +162,7 @@ def connection_panels(
     """
     panels: dict[tuple[str, str], Panel] = {}
     fed = {link["target"]: link for link in connected if link["target"] in run.results and link["target"] not in shown}
-    references = {name: other for name in fed if (other := REFERENCE.sub("", name)) != name and other in fed}
+    references = {name: other for name in fed if (other := REFERENCE_PART.sub("", name)) != name and other in fed}
     references = {name: other for name, other in references.items() if run.unit(name) == run.unit(other)}
     for target, link in fed.items():
         source = link["source"]
@@ -204,7 +206,7 @@ def results_cell(results: Results, names: Sequence[str], title: str) -> str:
 
     A note names signals of texts, which are not drawn, and integers that doubles round.
     """
-    shown = tuple(names[:MAX_CURVES])
+    shown = tuple(names[:MAX_CELL_CURVES])
     rows = rows_to_show([results[name] for name in shown])  # first of all: a long run is not copied
     values = np.column_stack([results[name][rows] for name in shown]) if shown else np.empty((rows.size, 0))
     run = drawable_run(replace(results, time=results.time[rows], columns=shown, values=values, exact={}), {})
