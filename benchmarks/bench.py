@@ -26,7 +26,7 @@ from cosim.isolation.limits import Limits
 from cosim.isolation.process import Worker
 from cosim.isolation.rows import Rows, allocate, mapped_table
 from cosim.isolation.watch import Watch
-from cosim.master.master import PROGRESS_EVERY, simulate
+from cosim.master.master import PROGRESS_EVERY_STEPS, simulate
 from cosim.master.observer import Observer
 from cosim.model import Stepper
 from cosim.scenario.scenario_file import ScenarioFile
@@ -106,7 +106,7 @@ def loop_seconds(system: System, steps: int, rows: Rows | None = None) -> float:
     """Return the seconds of the master's steps, without loading."""
     marks: list[float] = []
     simulate(system, steps, H, lambda k: marks.append(time.perf_counter()), rows)
-    return (marks[-1] - marks[0]) * steps / (steps - PROGRESS_EVERY)
+    return (marks[-1] - marks[0]) * steps / (steps - PROGRESS_EVERY_STEPS)
 
 
 def loop_over_plain(scenario: Path) -> float:

@@ -22,7 +22,7 @@ from benchmarks.measure import Seconds, median_ratio, running
 from cosim.files.results import Results
 from cosim.fmi.building.build import build_native
 from cosim.fmi.native.compiler import compiler, load_library
-from cosim.master.master import PROGRESS_EVERY, simulate
+from cosim.master.master import PROGRESS_EVERY_STEPS, simulate
 from cosim.scenario.scenario_file import ScenarioFile
 from cosim.system.system import System, build_system
 
@@ -87,7 +87,7 @@ def loop_seconds(system: System, *, in_c: bool) -> float:
     marks: list[float] = []
     results = simulate(system, STEPS, H, lambda k: marks.append(time.thread_time()), in_c=in_c)
     assert results.loop.startswith("C" if in_c else "Python"), results.loop
-    return (marks[-1] - marks[0]) * STEPS / (STEPS - PROGRESS_EVERY)
+    return (marks[-1] - marks[0]) * STEPS / (STEPS - PROGRESS_EVERY_STEPS)
 
 
 # -- FMPy -------------------------------------------------------------------------------------------

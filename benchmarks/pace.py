@@ -12,7 +12,7 @@ import tempfile
 from pathlib import Path
 
 from benchmarks.bench_native import native_scenario
-from cosim.isolation.rows import NOTHING
+from cosim.isolation.rows import NO_CALL
 from cosim.master.pacing import Pacer
 from cosim.simulation.workflow import run
 
@@ -23,7 +23,7 @@ def pace_figures(place: Path, duration: float) -> dict[str, object]:
     """Return overruns and jitter of the native craft loop at 1 kHz."""
     overrides = [f"step={H}", f"duration={duration}", "pace=1", "components.controller.step=0.02"]
     outcome = run(native_scenario(place, 1), place / "run", overrides, report=False)
-    pacer, steps = Pacer(1.0, round(duration / H), H, [NOTHING]), range(round(duration / H) + 1)
+    pacer, steps = Pacer(1.0, round(duration / H), H, [NO_CALL]), range(round(duration / H) + 1)
     for k in steps:
         pacer.wait(k)
     bare = pacer.record(0.0)["within_1_ms"]

@@ -18,8 +18,8 @@ from controller.settings import Settings
 from cosim.core.arrays import Array
 from cosim.core.errors import InputError
 from cosim.experiment.rigs import (
-    FASTEST,
-    SLOWEST,
+    MAX_FREQUENCY_SHARE,
+    MIN_PERIODS,
     OpenLoop,
     Ranges,
     RigAxis,
@@ -34,7 +34,7 @@ from cosim.model import Model, Values
 from fmus.recipes import controller_recipe
 
 REFERENCE_BAND = (0.05, 0.5)  # [Hz]
-TURN = math.pi  # [rad] heading reference in both directions
+HEADING_REFERENCE_RAD = math.pi  # [rad] heading reference in both directions
 TRAVEL = 0.9  # share of the allowed excursion used for references
 DITHER = 0.5  # share of the tilt limit; the loop needs the rest
 DUTY_DIFFERENCE = 0.3  # share of the duty limit for the difference; the rest is common
@@ -71,11 +71,11 @@ class ClosedLoop(OpenLoop):
             tilts.append(min(limits[name], -low, high))
         self.settings = Settings(tilt_max=min(tilts), sample_time=model.rate)
         room, duty = min(limits["x_world"], limits["y_world"]), min(limits["duty_right"], limits["duty_left"])
-        band = min(SLOWEST / duration, FASTEST / model.rate), FASTEST / model.rate
+        band = min(MIN_PERIODS / duration, MAX_FREQUENCY_SHARE / model.rate), MAX_FREQUENCY_SHARE / model.rate
         dither = DITHER * self.settings.tilt_max
         self.axes = (
             RigAxis("x_ref", TRAVEL * room, *REFERENCE_BAND),
-            RigAxis("psi_ref", TURN, *REFERENCE_BAND),
+            RigAxis("psi_ref", HEADING_REFERENCE_RAD, *REFERENCE_BAND),
             RigAxis("tilt_common", dither, *band),
             RigAxis("tilt_difference", dither, *band),
             RigAxis("duty_common", (1.0 - DUTY_DIFFERENCE) * duty, *band),

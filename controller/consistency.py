@@ -26,7 +26,7 @@ import numpy as np
 
 from controller.closed_loop import ClosedLoop
 from controller.design_model import Matrix, discrete_model, measurement_matrix
-from controller.observers import AT, ESTIMATED, ExtendedFilter, LinearFilter, carried
+from controller.observers import AT, ESTIMATED_STATES, ExtendedFilter, LinearFilter, carried
 from controller.settings import ESTIMATORS, PLANT_STATES, SENSED, ExtendedSettings, Settings, variances_of
 from cosim.core.arrays import Array
 from cosim.core.errors import Fault, InputError, refuse
@@ -40,12 +40,12 @@ from cosim.report.template import render
 from plant.hovercraft import Hovercraft
 
 TEMPLATE = Path(__file__).with_name("templates") / "consistency.html.j2"
-LEVEL = 0.95
-SIDE = 0.5 * (1.0 - LEVEL)  # expected share of times on either side of their region
-HALF = 0.25 * (1.0 - LEVEL)  # tail probability on each side of each of the two tests
+CONFIDENCE_LEVEL = 0.95
+SIDE_SHARE = 0.5 * (1.0 - CONFIDENCE_LEVEL)  # expected share of times on either side of their region
+HALF = 0.25 * (1.0 - CONFIDENCE_LEVEL)  # tail probability on each side of each of the two tests
 CONSISTENT, OPTIMISTIC, PESSIMISTIC = "consistent", "optimistic", "pessimistic"
 BOTH = f"{OPTIMISTIC} and {PESSIMISTIC}"
-ROWS = 256  # rows of the correlation matrix processed at once
+ROWS_AT_ONCE = 256  # rows of the correlation matrix processed at once
 MIN_RUNS = 2
 MIN_STEPS = 100  # errors count after the first second
 MAX_SAMPLES = 20_000_000  # samples of all runs of a case: about 400 bytes each, 8 GB in total
@@ -117,7 +117,7 @@ def consistency_of(squares: Array, degrees: int, *, white: bool = False) -> Cons
         low, high = chi2.ppf([tail, 1.0 - tail], number * degrees) / number
         return float(low), float(high)
 
-    low, high = range_of_mean(runs, SIDE)
+    low, high = range_of_mean(runs, SIDE_SHARE)
     at_times = squares.mean(axis=0)
     if white:
         region, times = range_of_mean(squares.size, HALF), float(count)
@@ -125,7 +125,7 @@ def consistency_of(squares: Array, degrees: int, *, white: bool = False) -> Cons
         off = float(t.ppf(1.0 - HALF, runs - 1) * squares.mean(axis=1).std(ddof=1) / math.sqrt(runs))
         region, times = (degrees - off, degrees + off), independent_times(squares)
     rest = max(times - 1.0, 1e-6)  # beta distribution with this mean and the variance p·(1 − p)/times
-    most = float(beta.ppf(1.0 - HALF, SIDE * rest, (1.0 - SIDE) * rest))
+    most = float(beta.ppf(1.0 - HALF, SIDE_SHARE * rest, (1.0 - SIDE_SHARE) * rest))
     above, below = float(np.mean(at_times > high)), float(np.mean(at_times < low))
     return Consistency(degrees, runs, float(squares.mean()), region, above, below, most, times, at_times, (low, high))
 
@@ -146,11 +146,13 @@ def independent_times(squares: Array) -> float:
     # ∫₀^asin ρ exp(−c²/(1 + sin θ)) dθ/2π
     angle = np.linspace(-0.5 * math.pi, 0.5 * math.pi, 2001)
     with np.errstate(divide="ignore"):
-        density = np.exp(-(norm.ppf(SIDE) ** 2) / (1.0 + np.sin(angle))) / (2.0 * math.pi)
+        density = np.exp(-(norm.ppf(SIDE_SHARE) ** 2) / (1.0 + np.sin(angle))) / (2.0 * math.pi)
     integral = cumulative_simpson(density, x=angle, initial=0.0)
     grid, covariance = np.sin(angle), integral - integral[1000]
-    total = sum(np.interp(z[:, k : k + ROWS].T @ z, grid, covariance).sum() for k in range(0, z.shape[1], ROWS))
-    return float(np.clip(SIDE * (1.0 - SIDE) * z.shape[1] ** 2 / max(total, 1e-300), 1.0, z.shape[1]))
+    total = sum(
+        np.interp(z[:, k : k + ROWS_AT_ONCE].T @ z, grid, covariance).sum() for k in range(0, z.shape[1], ROWS_AT_ONCE)
+    )
+    return float(np.clip(SIDE_SHARE * (1.0 - SIDE_SHARE) * z.shape[1] ** 2 / max(total, 1e-300), 1.0, z.shape[1]))
 
 
 class ConsistencyRow(NamedTuple):
@@ -261,9 +263,10 @@ def check_size(runs: int, steps: int, seed: int) -> None:
 # The truth is the linear model with the disturbance V of eq 5.47, the plant with the extended filter's process noise,
 # or the undisturbed plant. All runs share the commands of a flight; the seed determines the noise.
 
-SETTLING = 50  # samples before errors count
+SETTLING_SAMPLES = 50  # samples before errors count
 FIX_EVERY = 5  # samples, 10 Hz
-OWN = [k for k, name in enumerate(PLANT_STATES) if not name.endswith("_world")]  # P of the world position is singular
+# P of the world position is singular
+OWN_AXIS_STATES = [k for k, name in enumerate(PLANT_STATES) if not name.endswith("_world")]
 SENSED_AT = [[q.name for q in Hovercraft.outputs].index(name) for name in SENSED]
 # NEES, NIS, NIS of fixes → (runs, times), degrees of freedom, times [s]
 Squares = Mapping[str, tuple[Matrix, int, Matrix]]
@@ -301,7 +304,7 @@ def flown_manoeuvre(steps: int) -> Matrix:
     return np.column_stack([*trial.inputs.values()])
 
 
-SINES = Flight("sines of the tilts", "tilts of ±0.08 rad together and ±0.05 rad against each other", sines)
+SINE_FLIGHT = Flight("sines of the tilts", "tilts of ±0.08 rad together and ±0.05 rad against each other", sines)
 MANOEUVRE = Flight(
     "manoeuvre of App. G",
     "by the LQR: turn right by 90° at 1 s, forward 1.5 m at 5 s, turn about at 10 s, forward at 17 s, right at 22 s",
@@ -316,7 +319,7 @@ class FlightCase(NamedTuple):
     truth: str
     estimator: str
     fixes: bool = False
-    flight: Flight = SINES
+    flight: Flight = SINE_FLIGHT
 
 
 ON_SINES = (
@@ -397,14 +400,14 @@ def squares_of(case: FlightCase, runs: int, steps: int, rng: np.random.Generator
             kf, state = estimator.filter, states[k, r]
             e, P = kf.x - state[: len(kf.x)], kf.P
             if isinstance(estimator, ExtendedFilter):
-                e, P = e[OWN], P[np.ix_(OWN, OWN)]
+                e, P = e[OWN_AXIS_STATES], P[np.ix_(OWN_AXIS_STATES, OWN_AXIS_STATES)]
             elif len(state) > len(kf.x):  # the plant's thrust acceleration (F_Rx + F_Lx)/m is a_x without friction
                 ax = float(stepper.output(0.0, tuple(state.tolist()), ())[SENSED_AT[2]])
                 a = ax + craft.friction / craft.mass * float(state[AT("vx")])
-                e = kf.x - np.array([*(state[AT(name)] for name in ESTIMATED), a])
+                e = kf.x - np.array([*(state[AT(name)] for name in ESTIMATED_STATES), a])
             nees[r, k] = e @ np.linalg.solve(P, e)
             nis[r, k], fixed[r, k] = estimator.nis, estimator.fix_nis
-    settled, with_fix = slice(SETTLING, None), slice(SETTLING + FIX_EVERY - 1, None, FIX_EVERY)
+    settled, with_fix = slice(SETTLING_SAMPLES, None), slice(SETTLING_SAMPLES + FIX_EVERY - 1, None, FIX_EVERY)
     t = Settings().sample_time * np.arange(1.0, steps + 1.0)
     squares = {"NEES": (nees[:, settled], len(e), t[settled]), "NIS": (nis[:, settled], 3, t[settled])}
     if case.fixes:  # every fifth sample has a new fix

@@ -41,17 +41,17 @@ from plant.hovercraft import Hovercraft
 Controller = Literal[
     "controller.fmu", "controller-pole.fmu", "controller-lqi.fmu", "controller-mpc.fmu", "controller-ltv-mpc.fmu"
 ]
-LQR, PLACED, INTEGRAL, PREDICTIVE, TIME_VARIANT = get_args(Controller)
+LQR, PLACED, WITH_INTEGRAL, PREDICTIVE, TIME_VARIANT = get_args(Controller)
 Place = tuple[str | int, ...]
 SETTINGS: Mapping[str, type[Settings]] = {
     LQR: Settings,
     PLACED: Settings,
-    INTEGRAL: IntegralSettings,
+    WITH_INTEGRAL: IntegralSettings,
     PREDICTIVE: PredictiveSettings,
     TIME_VARIANT: TimeVariantSettings,
 }
 # option, its place in a list → start value; a predictive law has no fifth state
-UNCHANGED: dict[Place, str] = {("thrust_nominal",): "thrust_nominal", ("lag",): "lag"}
+OPTION_START_VALUES: dict[Place, str] = {("thrust_nominal",): "thrust_nominal", ("lag",): "lag"}
 OF_PREDICTION: dict[Place, str] = {
     ("horizon",): "horizon",
     ("speed_max",): "speed_max",
@@ -158,7 +158,7 @@ def controller_starts(
     if craft is not None:
         values = {n: getattr(craft, n) for n in OF_CRAFT} if name == TIME_VARIANT else {}
         values |= {n: value for n, value in numbers_of(craft).items() if n in declared}
-    for place, start in (UNCHANGED | OF_PREDICTION if predicts else UNCHANGED).items():
+    for place, start in (OPTION_START_VALUES | OF_PREDICTION if predicts else OPTION_START_VALUES).items():
         if (value := options[str(place[0])]) is not None:
             places[start], values[start] = place, float(value[place[1]] if place[1:] else value)
     if name != TIME_VARIANT and options["estimator"] is not None:
@@ -180,7 +180,7 @@ def controller_starts(
         if name == PLACED:
             K = placed_gain(settings, [*map(complex, options["poles"])])
         else:
-            K = lqr_gain(settings, options["Q"], options["R"], options["Q_integral"] if name == INTEGRAL else ())
+            K = lqr_gain(settings, options["Q"], options["R"], options["Q_integral"] if name == WITH_INTEGRAL else ())
     except ValueError as error:
         return values, [(_place_of("forward", options, name)[:1], str(error))], []
     values |= {f"k_{i + 1}_{j + 1}": float(gain) for (i, j), gain in np.ndenumerate(K)}

@@ -24,13 +24,13 @@ from controller.settings import (
 from cosim.model import Moment, Stepper
 from plant.hovercraft import Hovercraft
 
-ESTIMATED = ("x", "vx", "psi", "psi_dot")
-SIZE, AT = len(PLANT_STATES), PLANT_STATES.index
+ESTIMATED_STATES = ("x", "vx", "psi", "psi_dot")
+PLANT_SIZE, AT = len(PLANT_STATES), PLANT_STATES.index
 # x_world and y_world repeat x and y without weight, so predictive control predicts twelve of fourteen states.
 PREDICTED = [k for k, name in enumerate(PLANT_STATES) if not name.endswith("_world")]
-NAMES = [PLANT_STATES[k] for k in PREDICTED]
-FILTERED = [NAMES.index(name) for name in ESTIMATED]  # states of the filter of the thesis
-OBSERVED = [k for k in range(len(NAMES)) if k not in FILTERED]
+PREDICTED_STATES = [PLANT_STATES[k] for k in PREDICTED]
+FILTERED = [PREDICTED_STATES.index(name) for name in ESTIMATED_STATES]  # states of the filter of the thesis
+OBSERVED = [k for k in range(len(PREDICTED_STATES)) if k not in FILTERED]
 
 
 class Stateful:
@@ -168,7 +168,7 @@ class HoverFilter(LinearFilter):
         self.observer = kf = KalmanFilter(dim_x=n, dim_z=1, dim_u=len(self.rest))
         kf.F, kf.B = discretize(A[np.ix_(of, of)], B[of], p.sample_time)
         kf.x, kf.P, kf.Q, kf.H = np.zeros(n), np.zeros((n, n)), np.zeros((n, n)), np.zeros((1, n))
-        self.y, vy = (OBSERVED.index(NAMES.index(name)) for name in ("y", "vy"))
+        self.y, vy = (OBSERVED.index(PREDICTED_STATES.index(name)) for name in ("y", "vy"))
         kf.x[self.y] = y_hat
         kf.Q[self.y, self.y], kf.Q[vy, vy] = p.process_variance_x, p.process_variance_vx  # as along the craft's axis
         kf.H[0, self.y], kf.H[0, vy] = 1.0, -p.fix_latency
@@ -193,7 +193,7 @@ class HoverFilter(LinearFilter):
     @property
     def predicted(self) -> Matrix:
         """Return the states of a prediction as deviations from hover."""
-        z = np.zeros(len(NAMES))
+        z = np.zeros(len(PREDICTED_STATES))
         z[OBSERVED], z[FILTERED] = self.observer.x, self.filter.x[: len(FILTERED)]
         return z
 
@@ -256,7 +256,7 @@ class Slopes:
         entries: list[Any] = [0.0] * len(places)
         with np.errstate(divide="ignore", over="ignore", invalid="ignore"):  # both sides of branches are computed
             function(0.0, tuple(states.T), tuple(commands.T), self.numbers, entries)
-        rows, columns = 1 if name == "output" else SIZE, (commands if name == "command" else states).shape[1]
+        rows, columns = 1 if name == "output" else PLANT_SIZE, (commands if name == "command" else states).shape[1]
         matrices = np.zeros((len(states), rows, columns))
         for (row, column), entry in zip(places, entries, strict=True):
             matrices[:, row, column] = entry
@@ -265,7 +265,7 @@ class Slopes:
 
 def carried(psi: float) -> Matrix:
     """Return G (14, 14), which transfers noise from craft to world axes."""
-    G, s, c = np.eye(SIZE), math.sin(psi), math.cos(psi)
+    G, s, c = np.eye(PLANT_SIZE), math.sin(psi), math.cos(psi)
     G[np.ix_([AT("x_world"), AT("y_world")], [AT("x"), AT("y")])] = (c, s), (s, -c)
     return G
 
@@ -294,8 +294,8 @@ class ExtendedFilter(Estimator):
     ) -> None:
         self.settings, self.slopes, self.stepper = settings, Slopes(model, jacobians), Stepper(model)
         self.sensors = [[q.name for q in model.outputs].index(name) for name in SENSED]
-        self.filter = kf = ExtendedKalmanFilter(SIZE, len(SENSED))
-        kf.x, kf.P = np.array(model.start(start), dtype=float), np.zeros((SIZE, SIZE))
+        self.filter = kf = ExtendedKalmanFilter(PLANT_SIZE, len(SENSED))
+        kf.x, kf.P = np.array(model.start(start), dtype=float), np.zeros((PLANT_SIZE, PLANT_SIZE))
         self.noise = np.diag(variances_of(settings, "process", PLANT_STATES))
         kf.R = np.diag(variances_of(settings, "measurement", SENSED))
         self.fixed = [AT(name) for name in AXES[settings.axes]]
@@ -307,11 +307,11 @@ class ExtendedFilter(Estimator):
         kf, dt, self.command = self.filter, self.settings.sample_time, tuple(command)
         A = dt * self.slope("state")
         A2, G = A @ A, carried(float(kf.x[AT("psi")]))
-        F = np.eye(SIZE) + A + A2 / 2.0 + A2 @ A / 6.0 + A2 @ A2 / 24.0
+        F = np.eye(PLANT_SIZE) + A + A2 / 2.0 + A2 @ A / 6.0 + A2 @ A2 / 24.0
         kf.x = np.array(self.stepper.step(Moment(0.0, tuple(kf.x.tolist())), self.command, dt).state)
         kf.P = F @ kf.P @ F.T + G @ self.noise @ G.T
 
-        H = np.zeros((3, SIZE))
+        H = np.zeros((3, PLANT_SIZE))
         H[0, AT("psi")] = H[1, AT("psi_dot")] = 1.0
         H[2] = self.slope("output")[0]
         self.nis = self.update(measured, lambda _: H, self.sensed)
@@ -324,7 +324,7 @@ class ExtendedFilter(Estimator):
             rate = self.stepper.derivative(0.0, tuple(x.tolist()), self.command)
             return np.array([x[k] - latency * rate[k] for k in self.fixed])
 
-        H = (np.eye(SIZE) - latency * self.slope("state"))[self.fixed]
+        H = (np.eye(PLANT_SIZE) - latency * self.slope("state"))[self.fixed]
         self.fix_nis = self.update(position, lambda _: H, located, self.fix_noise)
 
     def slope(self, name: str) -> Matrix:
@@ -345,7 +345,7 @@ class ExtendedFilter(Estimator):
     def estimate(self) -> Floats:
         x = dict(zip(PLANT_STATES, self.filter.x.tolist(), strict=True))
         ax = float(self.sensed(self.filter.x)[2])
-        return *(x[name] for name in ESTIMATED), ax + self.damping * x["vx"], x["y"]
+        return *(x[name] for name in ESTIMATED_STATES), ax + self.damping * x["vx"], x["y"]
 
     @property
     def variances(self) -> Floats:

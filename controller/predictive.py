@@ -15,14 +15,14 @@ from scipy.linalg import solve_discrete_are
 
 from controller.design_model import PLANT_INPUTS, Matrix, discretize, full_model
 from controller.loop import Law, LawInput
-from controller.observers import NAMES, PREDICTED, Estimator, ExtendedFilter, HoverFilter, Slopes, level_tilt
+from controller.observers import PREDICTED, PREDICTED_STATES, Estimator, ExtendedFilter, HoverFilter, Slopes, level_tilt
 from controller.settings import PLANT_STATES, Floats, Numbers, craft_of
 from cosim.model.namespaces import arrays
 
 COMMANDS = len(PLANT_INPUTS)
-BLOCKS = (1, 2, 4, 8, 12, 18, 25, 30)  # steps with a constant command; the last block extends to the horizon
-VX = NAMES.index("vx")
-POSITIONS = [NAMES.index(name) for name in ("x", "y", "psi")]
+COMMAND_BLOCKS = (1, 2, 4, 8, 12, 18, 25, 30)  # steps with a constant command; the last block extends to the horizon
+VX = PREDICTED_STATES.index("vx")
+POSITIONS = [PREDICTED_STATES.index(name) for name in ("x", "y", "psi")]
 SOLVED = (1, 2)  # flags of DAQP: optimal, also with an exceeded soft limit
 HARD, SOFT = 0, 8  # kinds of limits in DAQP
 ZERO_MULTIPLIER = 1e-9  # multipliers below are zero
@@ -82,13 +82,17 @@ class PredictiveLaw(Law):
     cost: Condensed | None = None
 
     def __init__(self, p: Any, printed: Mapping[str, Any] | None = None, y_hat: float = 0.0) -> None:
-        self.p, self.printed, self.y_hat, self.hover = p, printed, y_hat, np.zeros(len(NAMES))
+        self.p, self.printed, self.y_hat, self.hover = p, printed, y_hat, np.zeros(len(PREDICTED_STATES))
         self.rest = np.array([p.duty_nominal, p.duty_nominal, 0.0, 0.0])
         self.low = np.array([p.duty_min, p.duty_min, -p.tilt_max, -p.tilt_max]) - self.rest
         self.high = np.array([p.duty_max, p.duty_max, p.tilt_max, p.tilt_max]) - self.rest
         self.scale = np.maximum(-self.low, self.high)
         steps = round(p.horizon / p.prediction_step)
-        ends = [min(sum(BLOCKS[: k + 1]), steps) for k in range(len(BLOCKS)) if sum(BLOCKS[:k]) < steps]
+        ends = [
+            min(sum(COMMAND_BLOCKS[: k + 1]), steps)
+            for k in range(len(COMMAND_BLOCKS))
+            if sum(COMMAND_BLOCKS[:k]) < steps
+        ]
         lengths = np.diff([0, *ends[:-1], steps])
         self.of_step = np.repeat(np.arange(len(lengths)), lengths)  # block of each step
         self.limits = [np.tile(limit / self.scale, len(lengths)) for limit in (self.low, self.high)]
@@ -98,16 +102,16 @@ class PredictiveLaw(Law):
         self.most_iterations, self.sample = int(p.iterations_max), p.sample_time
         of_state = {name: getattr(p, f"weight_{name}") for name in ("x", "y", "psi", "vx", "vy", "psi_dot")}
         of_input = p.weight_duty, p.weight_duty, p.weight_tilt, p.weight_tilt
-        self.Q = p.prediction_step * np.diag([of_state.get(name, 0.0) for name in NAMES])
+        self.Q = p.prediction_step * np.diag([of_state.get(name, 0.0) for name in PREDICTED_STATES])
         self.R = p.prediction_step * np.diag(of_input)
         self.hot, self.last = np.zeros(len(self.kinds)), np.zeros(COMMANDS)
         self.iterations, self.solved, self.samples, self.given_up = 0, True, 0, 0
-        self.path, self.plan = np.zeros((0, len(NAMES))), np.zeros((0, COMMANDS))  # no plan yet
+        self.path, self.plan = np.zeros((0, len(PREDICTED_STATES))), np.zeros((0, COMMANDS))  # no plan yet
         if printed is None:
             A, B = full_model(p)
             F, G = discretize(A[np.ix_(PREDICTED, PREDICTED)], B[PREDICTED], p.prediction_step)
             self.P, n = solve_discrete_are(F, G, self.Q, self.R), len(self.of_step)
-            self.cost = self.condensed(np.tile(F, (n, 1, 1)), np.tile(G, (n, 1, 1)), 0.0, np.eye(len(NAMES)))
+            self.cost = self.condensed(np.tile(F, (n, 1, 1)), np.tile(G, (n, 1, 1)), 0.0, np.eye(len(PREDICTED_STATES)))
             return
         self.craft = craft_of(p)
         self.slopes, self.rates = Slopes(self.craft, printed), self.craft.acting(arrays()).derivative

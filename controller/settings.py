@@ -16,8 +16,9 @@ Floats = tuple[float, ...]
 Numbers = Sequence[float]
 ESTIMATORS, DOUBLE_INTEGRATION = ("appendix_f", "lagged", "consistent"), "double_integration"
 SENSED = ("psi", "psi_dot", "ax")
+SIDES = ("right", "left")
 GAINS = tuple(f"k_{i}_{j}" for i in (1, 2) for j in range(1, 6))  # K, row by row
-CRAFT = {p.name: p for p in parameters_of(Hovercraft)}
+CRAFT_PARAMETERS = {p.name: p for p in parameters_of(Hovercraft)}
 DESIGN = "design model: "  # beginning of meanings
 
 # Eq 6.5 with all digits: LQR gain of eqs 5.33/5.34 with the weights of eq 6.4. A test repeats the design.
@@ -37,7 +38,7 @@ def gain(default: float, tilt: str, state: str, source: str = ", eq 6.5") -> Any
 
 def of_craft(name: str, about: str = "") -> Any:
     """Declare a parameter of the craft for a controller; `about` precedes its meaning."""
-    p = CRAFT[name]
+    p = CRAFT_PARAMETERS[name]
     return bounded(p.default, p.unit, p.bounds, about + p.doc)
 
 
@@ -143,8 +144,8 @@ class Settings(FilterSettings):
 
 # Gains of the poles -2, -4, -11 (forward) and -4, -5 rad/s (turn), and of the LQR with integral weights 0.3 and 0.05.
 # Tests repeat the design.
-PLACED = (1.098053097345133, 0.8497106634030005, 0.2389282086946114, 0.10751769391257515, 0.06654667040403645)
-WITH_INTEGRAL = (1.065117707211288, 0.7494112674097084, 0.2908023505812724, 0.10930731206491429, 0.05538288175826896)
+PLACED_GAINS = (1.098053097345133, 0.8497106634030005, 0.2389282086946114, 0.10751769391257515, 0.06654667040403645)
+INTEGRAL_GAINS = (1.065117707211288, 0.7494112674097084, 0.2908023505812724, 0.10930731206491429, 0.05538288175826896)
 OF_X_INTEGRAL, OF_PSI_INTEGRAL = 0.3872983346207414, 0.15811388300841878
 
 
@@ -160,7 +161,7 @@ def mirrored(row: Numbers) -> dict[str, Any]:
     return dict(zip(GAINS, (*row, *left), strict=True))
 
 
-PLACED_SETTINGS = Settings(**mirrored(PLACED))
+PLACED_SETTINGS = Settings(**mirrored(PLACED_GAINS))
 
 
 @frozen
@@ -175,7 +176,7 @@ class IntegralSettings(Settings):
     k_2_7: float = gain(-OF_PSI_INTEGRAL, "left", "the integral of psi", "")
 
 
-INTEGRAL_SETTINGS = IntegralSettings(**mirrored(WITH_INTEGRAL))
+INTEGRAL_SETTINGS = IntegralSettings(**mirrored(INTEGRAL_GAINS))
 
 
 @frozen
@@ -262,7 +263,7 @@ class ExtendedSettings(Noise):
 
 # The equations are assumed accurate to 1 % of a propeller's thrust, 25 mN at its arm, independently at each sample of
 # 0.02 s: (0.025 N/m·Δt)², (0.025 N·L/I·Δt)². Positions and angles follow exactly from their rates.
-PUSH, TURN, ROLL = 5e-7, 7e-5, 8.4e-5
+PUSH_VARIANCE, TURN_VARIANCE, ROLL_VARIANCE = 5e-7, 7e-5, 8.4e-5
 
 
 def equation_noise(default: float, unit: str, of: str) -> Any:
@@ -290,11 +291,11 @@ class TimeVariantSettings(PredictionSettings, ExtendedSettings):
     process_variance_x: float = equation_noise(0.0, "m2", "x")
     process_variance_y: float = equation_noise(0.0, "m2", "y")
     process_variance_psi: float = equation_noise(0.0, "rad2", "psi")
-    process_variance_vx: float = equation_noise(PUSH, "m2/s2", "vx")
-    process_variance_vy: float = equation_noise(PUSH, "m2/s2", "vy")
-    process_variance_psi_dot: float = equation_noise(TURN, "rad2/s2", "psi_dot")
+    process_variance_vx: float = equation_noise(PUSH_VARIANCE, "m2/s2", "vx")
+    process_variance_vy: float = equation_noise(PUSH_VARIANCE, "m2/s2", "vy")
+    process_variance_psi_dot: float = equation_noise(TURN_VARIANCE, "rad2/s2", "psi_dot")
     process_variance_phi: float = equation_noise(0.0, "rad2", "phi")
-    process_variance_phi_dot: float = equation_noise(ROLL, "rad2/s2", "phi_dot")
+    process_variance_phi_dot: float = equation_noise(ROLL_VARIANCE, "rad2/s2", "phi_dot")
 
     estimator: str = "extended"
 
@@ -310,7 +311,7 @@ class TimeVariantSettings(PredictionSettings, ExtendedSettings):
         return []
 
 
-OF_CRAFT = tuple(p.name for p in parameters_of(TimeVariantSettings) if p.name in CRAFT)
+OF_CRAFT = tuple(p.name for p in parameters_of(TimeVariantSettings) if p.name in CRAFT_PARAMETERS)
 
 
 def craft_of(p: Any) -> Hovercraft:

@@ -10,7 +10,7 @@ import numpy as np
 
 from controller.design_model import PLANT_INPUTS, Matrix, design_model, discretize, full_model
 from controller.observers import kalman_filter
-from controller.settings import PLANT_STATES, FullSettings, Numbers, Settings
+from controller.settings import PLANT_STATES, SIDES, FullSettings, Numbers, Settings
 from cosim.model import SCALAR
 from cosim.model.symbolic.linearize import linearize
 from plant.hovercraft import Hovercraft
@@ -19,7 +19,6 @@ Q_THESIS = (1.0, 0.5, 0.1, 0.01, 0.0)  # diagonal, eq 6.4
 R_THESIS = (1.0, 1.0)
 Q_INTEGRAL = (0.3, 0.05)  # diagonal for the integrals of x and ψ, chosen here
 STABLE_DECAY = 1e-6  # [rad/s] smallest distance of a pole of an LQR from the imaginary axis
-SIDES = ("right", "left")
 # Operating point of the viscous friction: about the mean of the manoeuvre. At rest, the slope of dry friction is no
 # damping.
 WORKING_SPEED, WORKING_YAW_RATE = 0.4, 1.0  # [m/s], [rad/s]
@@ -31,7 +30,7 @@ POLES = (-2.0, -4.0, -11.0, -4.0, -5.0)
 MIN_DECAY = 1e-3
 SAME_POLE = 1e-9  # relative distance below which poles are equal
 # states (x, vx, a) and (psi, psi_dot) of the axes, and the signs of the tilts: common, or differential
-AXES = (((0, 1, 4), (1.0, 1.0)), ((2, 3), (1.0, -1.0)))
+CONTROLLED_AXES = (((0, 1, 4), (1.0, 1.0)), ((2, 3), (1.0, -1.0)))
 
 
 def numbers_of(craft: Hovercraft) -> dict[str, float]:
@@ -122,7 +121,7 @@ def placed_gain(p: Settings, poles: Sequence[complex] = POLES) -> Matrix:
 
     A, B = design_model(p)
     K = np.zeros((2, 5))
-    for (states, signs), own in zip(AXES, (poles[:3], poles[3:]), strict=True):
+    for (states, signs), own in zip(CONTROLLED_AXES, (poles[:3], poles[3:]), strict=True):
         axis = np.ix_(states, states)
         gain = place_poles(A[axis], B[list(states)] @ np.array(signs)[:, None], np.array(own)).gain_matrix[0]
         K[:, states] = np.outer(signs, gain)
@@ -156,7 +155,7 @@ def format_pole(pole: complex) -> str:
 
 # States that depend on the tilts and act on the IMU: not x, roll, y and thrusts.
 SEEN = [PLANT_STATES.index(name) for name in ("vx", "psi", "psi_dot", "tilt_right", "tilt_left")]
-TILTS = [PLANT_INPUTS.index(name) for name in ("tilt_right", "tilt_left")]
+TILT_INPUTS = [PLANT_INPUTS.index(name) for name in ("tilt_right", "tilt_left")]
 PSI, PSI_DOT, RIGHT, LEFT = 1, 2, 3, 4  # indices among these states
 TURNING = {PSI, PSI_DOT, 5 + 2, 5 + 3, 10 + 1}  # indices among all states of the loop, without tilts
 MAX_GROWTH = 1e-3  # [rad/s] poles further right grow; uncontrolled poles are at 0 within rounding
@@ -194,7 +193,7 @@ def flown_modes(p: FullSettings, K: Matrix) -> list[LoopMode]:
         LinAlgError: The estimator has no steady gain.
     """
     A, B = full_model(p)
-    A, B = A[np.ix_(SEEN, SEEN)], B[np.ix_(SEEN, TILTS)]
+    A, B = A[np.ix_(SEEN, SEEN)], B[np.ix_(SEEN, TILT_INPUTS)]
     F, G = discretize(A, B, p.sample_time)
     H = np.vstack([np.eye(len(A))[[PSI, PSI_DOT]], A[:1]])  # a_x = v̇x
     kf, last = kalman_filter(p, np.zeros(5)), np.zeros((5, 3))

@@ -1,3 +1,3 @@
 """FMUs of the worked example, the thrust-vectoring hovercraft: variables and recipes."""
 
-PACKAGES = ("plant", "controller", "fmus")  # packages included in an FMU of the example if imported by its slave
+FMU_PACKAGES = ("plant", "controller", "fmus")  # packages included in an FMU of the example if imported by its slave

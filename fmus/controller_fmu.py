@@ -30,21 +30,21 @@ from cosim.model import parameters_of
 from plant.hovercraft import DUTY_NOMINAL, Hovercraft
 
 Dependencies = Mapping[str, Sequence[str]]
-ESTIMATED = {  # name → unit, meaning
+ESTIMATE_MEANINGS = {  # name → unit, meaning
     "x": ("m", "distance along the craft's own axis"),
     "vx": ("m/s", "forward velocity"),
     "psi": ("rad", "heading"),
     "psi_dot": ("rad/s", "yaw rate"),
     "a": ("m/s2", "thrust acceleration"),
 }
-ESTIMATE = tuple(f"{name}_hat" for name in ESTIMATED)
-MEASURED = (
+ESTIMATE = tuple(f"{name}_hat" for name in ESTIMATE_MEANINGS)
+MEASURED_PORTS = (
     Port("psi", "input", 0.0, "rad", "measured heading, positive to the left"),
     Port("psi_dot", "input", 0.0, "rad/s", "measured yaw rate"),
     Port("ax", "input", 0.0, "m/s2", "measured forward acceleration"),
 )
 ESTIMATES = tuple(
-    Port(f"{name}_hat", "output", 0.0, unit, f"estimated {doc}") for name, (unit, doc) in ESTIMATED.items()
+    Port(f"{name}_hat", "output", 0.0, unit, f"estimated {doc}") for name, (unit, doc) in ESTIMATE_MEANINGS.items()
 )
 FIXES = (
     Port("x_meas", "input", 0.0, "m", "fix of x, the distance along the craft's own axis", optional=True),
@@ -62,7 +62,7 @@ SIGMA = tuple(
     Port(f"{name}_sigma", "output", 0.0, unit, f"standard deviation of {name}_hat according to the estimator")
     for name, unit in (("x", "m"), ("psi", "rad"))
 )
-STARTS = tuple(
+START_PORTS = tuple(
     Port(f"{p.name}_start", "parameter", 0.0, p.unit, f"start value of {p.name}, assumed exact") for p in ESTIMATES
 )
 INTEGRALS = (
@@ -82,14 +82,14 @@ LATERAL = (
 def settings_ports(settings: Any, choice: str, doc: str) -> tuple[Port, ...]:
     """Return the parameters of settings, and the text parameter `choice`."""
     own = (parameter_port(p, getattr(settings, p.name)) for p in parameters_of(settings))
-    return (*own, Port(choice, "parameter", getattr(settings, choice), "", doc), *STARTS)
+    return (*own, Port(choice, "parameter", getattr(settings, choice), "", doc), *START_PORTS)
 
 
 def controller_ports(settings: Settings, *more: Port) -> tuple[Port, ...]:
     """Return all variables of a controller FMU: inputs, outputs, parameters and start values."""
     duty = settings.duty_nominal
     every = (
-        *MEASURED,
+        *MEASURED_PORTS,
         Port("x_ref", "input", 0.0, "m", "reference of the distance along the craft's own axis"),
         Port("psi_ref", "input", 0.0, "rad", "reference of the heading"),
         *FIXES,
@@ -105,15 +105,15 @@ def controller_ports(settings: Settings, *more: Port) -> tuple[Port, ...]:
     return tuple(p for causality in ("input", "output", "parameter") for p in every if p.causality == causality)
 
 
-START_NAMES = tuple(port.name for port in STARTS)
+START_NAMES = tuple(port.name for port in START_PORTS)
 # Dependencies of outputs at a sample. The axes are decoupled; of the inputs, only a fix changes the covariance.
-FORWARD, TURN = ("ax", "x_meas", "fix"), ("psi", "psi_dot")
-TILTS = (*TURN, *FORWARD, "x_ref", "psi_ref")
+FORWARD_DEPENDENCIES, TURN_DEPENDENCIES = ("ax", "x_meas", "fix"), ("psi", "psi_dot")
+TILT_DEPENDENCIES = (*TURN_DEPENDENCIES, *FORWARD_DEPENDENCIES, "x_ref", "psi_ref")
 DEPENDENCIES: Dependencies = {
     **dict.fromkeys(("duty_right", "duty_left", "psi_sigma"), ()),
-    **dict.fromkeys(("tilt_right", "tilt_left"), TILTS),
-    **dict.fromkeys(("x_hat", "vx_hat", "a_hat"), FORWARD),
-    **dict.fromkeys(("psi_hat", "psi_dot_hat"), TURN),
+    **dict.fromkeys(("tilt_right", "tilt_left"), TILT_DEPENDENCIES),
+    **dict.fromkeys(("x_hat", "vx_hat", "a_hat"), FORWARD_DEPENDENCIES),
+    **dict.fromkeys(("psi_hat", "psi_dot_hat"), TURN_DEPENDENCIES),
     "x_sigma": ("fix",),
 }
 # Dependencies in initialization mode, without filter update and with P = 0.
@@ -233,7 +233,7 @@ class HovercraftIntegralController(HovercraftController):
     ports = controller_ports(settings, *INTEGRALS)
     # saturation of a tilt affects both integrals
     depends = (
-        {**DEPENDENCIES, **dict.fromkeys(("x_integral", "psi_integral"), TILTS)},
+        {**DEPENDENCIES, **dict.fromkeys(("x_integral", "psi_integral"), TILT_DEPENDENCIES)},
         {**INITIAL_DEPENDENCIES, "x_integral": (), "psi_integral": ()},
     )
 
@@ -294,13 +294,13 @@ class HovercraftTimeVariantController(HovercraftPredictiveController):
 
 # -- estimators -----------------------------------------------------------------------------------
 
-NIS = "normalised innovation squared of (psi, psi_dot, ax), 3 in the mean if the filter is consistent"
-SIGNALS = (
-    *MEASURED,
-    Port("duty_right", "input", DUTY_NOMINAL, "%", "duty that acted on the right motor"),
-    Port("duty_left", "input", DUTY_NOMINAL, "%", "duty that acted on the left motor"),
-    Port("tilt_right", "input", 0.0, "rad", "tilt that acted on the right propeller"),
-    Port("tilt_left", "input", 0.0, "rad", "tilt that acted on the left propeller"),
+NIS = "normalised innovation squared of (psi, psi_dot, ax), 3 in the mean where it is right"
+SIGNAL_PORTS = (
+    *MEASURED_PORTS,
+    Port("duty_right", "input", DUTY_NOMINAL, "%", "duty command of the right motor, as it has acted"),
+    Port("duty_left", "input", DUTY_NOMINAL, "%", "duty command of the left motor, as it has acted"),
+    Port("tilt_right", "input", 0.0, "rad", "tilt command of the right propeller, as it has acted"),
+    Port("tilt_left", "input", 0.0, "rad", "tilt command of the left propeller, as it has acted"),
     *FIXES,
     *ESTIMATES,
     Port("y_hat", "output", 0.0, "m", "estimated drift to the right; 0 where it is not estimated"),
@@ -308,11 +308,11 @@ SIGNALS = (
     Port("y_sigma", "output", 0.0, "m", "standard deviation of y_hat according to the estimator"),
     Port("nis", "output", 0.0, "1", NIS),
 )
-OUTPUTS = tuple(p.name for p in SIGNALS if p.causality == "output")
+OUTPUT_NAMES = tuple(p.name for p in SIGNAL_PORTS if p.causality == "output")
 # Inputs are constant until the next sample, so no output depends on the command of the same time.
-ESTIMATED_FROM: Dependencies = dict.fromkeys(OUTPUTS, ("psi", "psi_dot", "ax", "x_meas", "y_meas", "fix"))
-ESTIMATED_AT_START: Dependencies = dict.fromkeys(OUTPUTS, ()) | {n: (f"{n}_start",) for n in ESTIMATE}
-NUMBERS = [p for p in parameters_of(Hovercraft) if not isinstance(p.default, bool)]
+ESTIMATED_FROM: Dependencies = dict.fromkeys(OUTPUT_NAMES, ("psi", "psi_dot", "ax", "x_meas", "y_meas", "fix"))
+ESTIMATED_AT_START: Dependencies = dict.fromkeys(OUTPUT_NAMES, ()) | {n: (f"{n}_start",) for n in ESTIMATE}
+NUMERIC_PARAMETERS = [p for p in parameters_of(Hovercraft) if not isinstance(p.default, bool)]
 FIX_AXES = "fixes are along the craft's own axes, or the world's: own, world"
 
 
@@ -332,7 +332,10 @@ class HovercraftFilter(Estimator):
     """Kalman filter of the thesis in three variants, or double integration, by parameter `estimator`."""
 
     settings = FilterSettings()
-    ports = (*SIGNALS, *settings_ports(settings, "estimator", f"estimator: {', '.join(settings.choices['estimator'])}"))
+    ports = (
+        *SIGNAL_PORTS,
+        *settings_ports(settings, "estimator", f"estimator: {', '.join(settings.choices['estimator'])}"),
+    )
 
     def start(self, settings: Any, x_hat: list[float], given: dict[str, Value]) -> Any:
         """Return the filter or double integration."""
@@ -345,8 +348,8 @@ class HovercraftEkf(Estimator):
 
     settings = ExtendedSettings()
     ports = (
-        *SIGNALS,
-        *(parameter_port(p, p.default) for p in NUMBERS),
+        *SIGNAL_PORTS,
+        *(parameter_port(p, p.default) for p in NUMERIC_PARAMETERS),
         *settings_ports(settings, "axes", FIX_AXES),
     )
     # The acceleration at the start also depends on plant parameters.
@@ -356,8 +359,8 @@ class HovercraftEkf(Estimator):
         """Return the filter; both propellers start at the tilt of acceleration a_hat_start."""
         from controller import printed  # type: ignore[attr-defined]  # printed when the FMU is built
 
-        model = Hovercraft().with_values({p.name: given[p.name] for p in NUMBERS if p.name in given})
-        start = dict(zip(ESTIMATED, x_hat, strict=True))
+        model = Hovercraft().with_values({p.name: given[p.name] for p in NUMERIC_PARAMETERS if p.name in given})
+        start = dict(zip(ESTIMATE_MEANINGS, x_hat, strict=True))
         tilt = level_tilt(model, start.pop("a"))
         start |= {"tilt_right": tilt, "tilt_left": tilt}
         return ExtendedFilter(model, settings, vars(printed), start, self.inputs[-1])

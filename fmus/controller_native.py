@@ -18,7 +18,7 @@ from cosim.model import parameters_of
 from fmus.controller_fmu import ESTIMATE
 from fmus.recipes import controller_recipe
 
-STATES, COMMANDS, MEASURED, FIXED = len(ESTIMATE), 2, 3, 1
+STATE_COUNT, COMMAND_COUNT, MEASURED_COUNT, FIX_COUNT = len(ESTIMATE), 2, 3, 1
 TEMPLATE = Path(__file__).with_name("templates") / "controller.c"
 
 
@@ -28,9 +28,9 @@ def controller_native(starts: Mapping[str, Value] | None = None) -> Native:
     ports = recipe.about.ports
     place = {port.name: k for k, port in enumerate(ports)}
     # x̂, P, u, last fix, then F, G, H, V, W, L, limit and sample time, H and W of a fix
-    own = (STATES + STATES**2 + COMMANDS + 1) + FIXED * (STATES + 1)
-    own += STATES * (STATES + COMMANDS + MEASURED + 1 + COMMANDS) + MEASURED + 2
-    counts = {"states": STATES, "commands": COMMANDS, "measured": MEASURED, "fixed": FIXED}
+    own = (STATE_COUNT + STATE_COUNT**2 + COMMAND_COUNT + 1) + FIX_COUNT * (STATE_COUNT + 1)
+    own += STATE_COUNT * (STATE_COUNT + COMMAND_COUNT + MEASURED_COUNT + 1 + COMMAND_COUNT) + MEASURED_COUNT + 2
+    counts = {"states": STATE_COUNT, "commands": COMMAND_COUNT, "measured": MEASURED_COUNT, "fixed": FIX_COUNT}
     text = TEMPLATE.read_text(encoding="utf-8") % {**place, **counts}
     parts = {n: part(n) for n in ("filter.c", "steps_only.c")}
     return Native("HovercraftController", recipe.about, text + _design(place), {"OWN": own}, parts, recipe.text)

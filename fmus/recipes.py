@@ -12,7 +12,7 @@ from cosim.core.registry import resolve
 from cosim.fmi.fmu_build import Recipe, about_model
 from cosim.fmi.model_description import Description, docstrings_html, model_text
 from cosim.model import Model
-from fmus import PACKAGES
+from fmus import FMU_PACKAGES
 
 # A second plant for scenarios/swap.yaml: a heavier craft whose servos overshoot (observed in §4.5.4).
 HEAVY = {
@@ -48,7 +48,7 @@ def _model(
 ) -> Recipe:
     description = about_model(model.with_values(values or {}), about)
     whole = f"<p>{text}</p>{model_text(model)}{docstrings_html(*modules)}"
-    return Recipe(slave, PACKAGES, description, whole, tuple(sorted((values or {}).items())))
+    return Recipe(slave, FMU_PACKAGES, description, whole, tuple(sorted((values or {}).items())))
 
 
 heavy_recipe = partial(plant_recipe, HEAVY)
@@ -66,40 +66,40 @@ def _sampled(slave: str, about: str, *documented: str, printed: bool = False) ->
         about, kind.ports, at_sample, at_start, step=step, stop=10.0, variable_step=False, sampled="sample_time"
     )
     parts = (resolve(f"controller.{name}") for name in documented)
-    recipe = Recipe((kind.__module__, kind.__name__), PACKAGES, description, docstrings_html(*parts, kind))
+    recipe = Recipe((kind.__module__, kind.__name__), FMU_PACKAGES, description, docstrings_html(*parts, kind))
     return replace(recipe, printed=(("controller.printed", jacobians()),)) if printed else recipe
 
 
-LOOP, MODEL, EXTENDED = "loop:Loop", "design_model:discrete_model", "observers:ExtendedFilter"
+LOOP_FUNCTION, MODEL_FUNCTION, EXTENDED_FILTER = "loop:Loop", "design_model:discrete_model", "observers:ExtendedFilter"
 FLIGHT = "Flight controller of the hovercraft: "
 controller_recipe = partial(
     _sampled,
     "controller_fmu:HovercraftController",
     f"{FLIGHT}Kalman filter and LQR with tilt saturation",
-    LOOP,
-    MODEL,
+    LOOP_FUNCTION,
+    MODEL_FUNCTION,
 )
 poles_recipe = partial(
     _sampled,
     "controller_fmu:HovercraftPolesController",
     f"{FLIGHT}Kalman filter and poles placed, with tilt saturation",
-    LOOP,
-    MODEL,
+    LOOP_FUNCTION,
+    MODEL_FUNCTION,
 )
 integral_recipe = partial(
     _sampled,
     "controller_fmu:HovercraftIntegralController",
     f"{FLIGHT}Kalman filter and LQR with integrals of position and heading",
-    LOOP,
-    MODEL,
+    LOOP_FUNCTION,
+    MODEL_FUNCTION,
     "loop:IntegralFeedback",
 )
 predictive_recipe = partial(
     _sampled,
     "controller_fmu:HovercraftPredictiveController",
     f"{FLIGHT}Kalman filter and model predictive control with limits",
-    LOOP,
-    MODEL,
+    LOOP_FUNCTION,
+    MODEL_FUNCTION,
     "predictive:PredictiveLaw",
     "observers:HoverFilter",
 )
@@ -107,9 +107,9 @@ time_variant_recipe = partial(
     _sampled,
     "controller_fmu:HovercraftTimeVariantController",
     f"{FLIGHT}extended Kalman filter and predictive control along the planned motion",
-    LOOP,
+    LOOP_FUNCTION,
     "predictive:PredictiveLaw",
-    EXTENDED,
+    EXTENDED_FILTER,
     printed=True,
 )
 filter_recipe = partial(
@@ -117,14 +117,14 @@ filter_recipe = partial(
     "controller_fmu:HovercraftFilter",
     "Estimators of the hovercraft: three Kalman filters, double integration",
     "observers:LinearFilter",
-    MODEL,
+    MODEL_FUNCTION,
     "observers:DoubleIntegration",
 )
 extended_recipe = partial(
     _sampled,
     "controller_fmu:HovercraftEkf",
     "Extended Kalman filter of the hovercraft on the plant's equations",
-    EXTENDED,
+    EXTENDED_FILTER,
     printed=True,
 )
 

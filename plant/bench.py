@@ -58,11 +58,13 @@ OUTPUTS = (
     Quantity("tilt_actual", "rad", "tilt angle"),
     Quantity("thrust_actual", "N", "thrust, with ground effect"),
 )
-OWN = len(STATES)  # index of the state of an effect
+EFFECT_STATE = len(STATES)  # index of the state of an effect
 
 
-LATE = tuple(Quantity(q.name, q.unit, f"{q.name} that acts until the delay has passed", q.start) for q in INPUTS)
-BenchDelay = Delay.named("actuator_delay", memory=LATE)  # of all commands, like that of the craft
+DELAYED_INPUTS = tuple(
+    Quantity(q.name, q.unit, f"{q.name} that acts until the delay has passed", q.start) for q in INPUTS
+)
+BenchDelay = Delay.named("actuator_delay", memory=DELAYED_INPUTS)  # of all commands, like that of the craft
 BenchSecondOrder = ActuatorSecondOrder.named(  # §4.5.4, as of the craft
     "actuator_second_order",
     equation="α̈ = ωₙ²·e − 2ζωₙ·α̇ in place of the first-order tilt lag, e the error beyond the dead band",
@@ -150,19 +152,19 @@ class Bench(Model):
             )
             target = servo_angle(servo_duty, self.servo_neutral, self.servo_slope)
             slow = m.maximum(self.filter_time, FASTEST_FILTER)
-            filtered = (lag(v, f, slow) for v, f in zip(converted(state, command), state[2:OWN], strict=True))
+            filtered = (lag(v, f, slow) for v, f in zip(converted(state, command), state[2:EFFECT_STATE], strict=True))
             rate = servo_rate(m, target, state[1], self.lag, self.servo_dead_band, self.servo_speed)
             own: Values = ()  # acceleration of the tilt of an actuator of second order
             if overshoot is not None:
                 w, error = overshoot.natural_frequency, servo_error(m, target, state[1], self.servo_dead_band)
-                rate = m.clip(m.where(w > 0.0, state[OWN], rate), -self.servo_speed, self.servo_speed)
-                own = (second_order(error, 0.0, state[OWN], w, overshoot.damping_ratio),)
+                rate = m.clip(m.where(w > 0.0, state[EFFECT_STATE], rate), -self.servo_speed, self.servo_speed)
+                own = (second_order(error, 0.0, state[EFFECT_STATE], w, overshoot.damping_ratio),)
             return (lag(steady, state[0], self.lag), rate, *filtered, *own)
 
         def output(t: Number, state: Values, command: Values) -> Values:
             z, x, moment = forces(state, command)
             volts = converted(state, command)
-            read = (m.where(self.filter_time > 0.0, f, v) for v, f in zip(volts, state[2:OWN], strict=True))
+            read = (m.where(self.filter_time > 0.0, f, v) for v, f in zip(volts, state[2:EFFECT_STATE], strict=True))
             gain = ground_effect(m, command[2], self.propeller_radius, self.ground_effect_exponent)
             return (*read, z, x, moment, state[1], state[0] * gain)
 

@@ -73,7 +73,7 @@ SENSOR_VARIANCE = {"psi": 2.613e-5, "psi_dot": 4.564e-4, "ax": 0.04479} | dict.f
 )
 # The craft is released by hand: unmeasured initial speeds are known to 0.2 m/s and 0.1 rad/s.
 START_VARIANCE = {q.name: {"m/s": 0.2, "rad/s": 0.1}.get(q.unit, 1.0) ** 2 for q in STATES}
-MEASURED = ("psi", "psi_dot", "ax", "x_world", "y_world")  # an IMU, and a camera
+MEASURED_OUTPUTS = ("psi", "psi_dot", "ax", "x_world", "y_world")  # an IMU, and a camera
 # An air table of 2 m by 2 m; the thrust line was fitted on 6-7 % of duty; tilt limits as in App. G.
 EXCURSION = {
     **dict.fromkeys(("duty_right", "duty_left"), 0.2),
@@ -116,7 +116,7 @@ class Hovercraft(Model):
     calibrated = ("mass", "izz", "friction", "lag")
     suspect = {"thrust_slope": ("duty_right", "duty_left")}  # noqa: RUF012 - a ClassVar of the base
     told_apart_by, drawn_against = TOLD_APART_BY, DRAWN_AGAINST
-    measured, excursion, planar, valid = MEASURED, EXCURSION, PLANAR, (DUTY_FITTED,)  # eq 4.20
+    measured, excursion, planar, valid = MEASURED_OUTPUTS, EXCURSION, PLANAR, (DUTY_FITTED,)  # eq 4.20
 
     mass: float = bounded(0.705, "kg", (0.05, 20), "vehicle mass, §5.2")
     izz: float = bounded(0.01023, "kg.m2", (1e-4, 1), "yaw inertia, eq 5.3")

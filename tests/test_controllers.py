@@ -13,7 +13,7 @@ from scipy.optimize import lsq_linear
 from controller.closed_loop import manoeuvre
 from controller.design_model import PLANT_INPUTS, design_model, discretize, full_model
 from controller.loop import LawInput, Loop
-from controller.predictive import NAMES, PREDICTED, PredictiveLaw
+from controller.predictive import PREDICTED, PREDICTED_STATES, PredictiveLaw
 from controller.settings import (
     GAINS,
     INTEGRAL_SETTINGS,
@@ -101,7 +101,7 @@ def test_the_solver_finds_what_another_one_does() -> None:
     cost, scale = law.cost, law.scale
     root = np.linalg.cholesky(cost.H).T  # ½·U'·H·U + q'·U = ½·|root·U + root⁻ᵀ·q|² + …
     for seed in range(5):
-        z = np.random.default_rng(seed).normal(size=len(NAMES)) * 0.3
+        z = np.random.default_rng(seed).normal(size=len(PREDICTED_STATES)) * 0.3
         target = -np.linalg.solve(root.T, cost.f @ z)
         best = lsq_linear(root, target, tuple(law.limits), tol=1e-12).x
         law.solve(cost.at(z))
@@ -149,14 +149,14 @@ def test_the_plan_is_what_the_craft_does_where_one_linearisation_misses_it(plann
     """A turn of 1 rad while it moves 1.5 m: the motors share the work, and thrust times tilt is no linear thing."""
     A, B = full_model(MPC)
     F, G = discretize(A[np.ix_(PREDICTED, PREDICTED)], B[PREDICTED], MPC.prediction_step)
-    stepper, linear = Stepper(Hovercraft()), [np.zeros(len(NAMES))]
+    stepper, linear = Stepper(Hovercraft()), [np.zeros(len(PREDICTED_STATES))]
     moment = stepper.start()
     flown = [np.array(moment.state)[PREDICTED]]
     for u in planned.plan:
         moment = stepper.step(moment, tuple(u.tolist()), LTV.prediction_step)
         flown.append(np.array(moment.state)[PREDICTED])
         linear.append(F @ linear[-1] + G @ (u - planned.rest))
-    x, psi = NAMES.index("x"), NAMES.index("psi")
+    x, psi = PREDICTED_STATES.index("x"), PREDICTED_STATES.index("psi")
     missed = np.abs(np.array(flown) - planned.path).max(axis=0)
     once = np.abs(np.array(flown) - planned.hover - np.array(linear)).max(axis=0)
     assert missed[psi] < 0.03 < 2.0 < once[psi]

@@ -9,7 +9,7 @@ import pytest
 
 from cosim.core.errors import InputError
 from cosim.pages.formulas import derivative, evaluate, integral, lowpass
-from cosim.pages.rows import TIME, Recording
+from cosim.pages.rows import TIME_COLUMN, Recording
 
 RNG = np.random.default_rng
 Array = np.ndarray[Any, np.dtype[np.float64]]
@@ -19,7 +19,7 @@ def of(text: str, time: Any, **signals: Any) -> tuple[Array, list[str]]:
     """The values of a formula of signals, and its notes."""
     time = np.asarray(time, dtype=float)
     rows = {name: np.broadcast_to(np.asarray(values, dtype=float), time.shape) for name, values in signals.items()}
-    run = Recording({TIME: time, **rows}, dict.fromkeys(signals, "m"))
+    run = Recording({TIME_COLUMN: time, **rows}, dict.fromkeys(signals, "m"))
     return evaluate(text, {name: (run, name) for name in signals})
 
 
@@ -38,7 +38,7 @@ def test_filters_derivatives_and_integrals_are_those_of_their_definitions() -> N
 
 def test_a_formula_takes_signals_of_other_runs() -> None:
     first, second = (
-        Recording({TIME: t, "x": t + k}, {"x": "m"}) for k, t in ((1, np.arange(3.0)), (0, np.array([0.0, 2.0])))
+        Recording({TIME_COLUMN: t, "x": t + k}, {"x": "m"}) for k, t in ((1, np.arange(3.0)), (0, np.array([0.0, 2.0])))
     )
     values, notes = evaluate("a - b", {"a": (first, "x"), "b": (second, "x")})
     np.testing.assert_allclose(values, [1.0, 1.0, 1.0])

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from cosim.core.errors import InputError
-from cosim.files.archive import FMU, SSP, BadArchive, Contents, check_archive, unpack
+from cosim.files.archive import FMU_CONTENTS, SSP_CONTENTS, BadArchive, Contents, check_archive, unpack
 from cosim.files.yaml_file import Document
 from cosim.verbs.checks import check as check_files
 
@@ -114,7 +114,7 @@ def test_zeros_that_are_well_packed_are_no_bomb(tmp_path: Path) -> None:
     assert (tmp_path / "out/resources/zeros").stat().st_size == 120_000_000
 
 
-@pytest.mark.parametrize("kind", [FMU, SSP])
+@pytest.mark.parametrize("kind", [FMU_CONTENTS, SSP_CONTENTS])
 def test_what_the_disk_has_no_room_for_is_refused_before_it_is_written(
     tmp_path: Path, kind: Contents, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -15,7 +15,7 @@ from cosim.core.arrays import Array
 from cosim.estimation.kernel import backend
 from cosim.estimation.kernel.backend import kernel
 from cosim.estimation.kernel.generate import KNOTS, bump, generate, rise
-from cosim.estimation.kernel.kernel import MEMORY, Data, Layout
+from cosim.estimation.kernel.kernel import CORRELATION_TIME, Data, Layout
 from cosim.estimation.kernel.library_kernel import CompiledKernel
 from cosim.estimation.subject.model_subject import neutral_values
 from cosim.files.cache import cache_path
@@ -44,7 +44,7 @@ def table(tmp_path_factory: pytest.TempPathFactory) -> Model:
 
 
 def parameters(model: Model, layout: Layout, **changes: float) -> Array:
-    values = dict.fromkeys(layout.parameters, 0.0) | neutral_values(model) | {MEMORY: 0.15} | changes
+    values = dict.fromkeys(layout.parameters, 0.0) | neutral_values(model) | {CORRELATION_TIME: 0.15} | changes
     return np.array([values[name] for name in layout.parameters])
 
 

@@ -15,7 +15,7 @@ from cosim.calibration.fitted import Fitted
 from cosim.core.errors import InputError
 from cosim.files.results import Results
 from cosim.refinement.refinement import Refined
-from cosim.report.cell.cell import MAX_CURVES, rows_to_show
+from cosim.report.cell.cell import MAX_CELL_CURVES, rows_to_show
 from cosim.simulation.run_signals import Signals
 from tests.test_python import turning
 
@@ -46,7 +46,7 @@ def test_a_long_result_shows_its_peaks_in_a_frame_of_a_bounded_size_that_reaches
     assert len(shown) < 700_000
     assert long._ipython_key_completions_() == [*long.names]
     assert long.plot("tank.s1")._repr_png_().startswith(b"\x89PNG")  # type: ignore[attr-defined]
-    rows = rows_to_show([long[name] for name in long.names[:MAX_CURVES]])
+    rows = rows_to_show([long[name] for name in long.names[:MAX_CELL_CURVES]])
     assert {0, PEAK, 149_999} <= {*rows.tolist()}
     assert "tank.s0 from -1 to 9" in frame
 

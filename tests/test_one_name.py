@@ -13,7 +13,7 @@ import cosim
 from cosim.core.errors import FmuError
 from cosim.fmi.wrapping.wrap import wrap
 from cosim.model.quantities import Parameter
-from cosim.sweeps.store import TABLE, read_table, signal_of
+from cosim.sweeps.store import SWEEP_TABLE, read_table, signal_of
 from cosim.terms.code import TermCode
 from tests.amplifier import (
     with_class,
@@ -67,7 +67,7 @@ def test_runs_of_a_sweep_execute_the_code_of_their_fmus(tmp_path: Path) -> None:
     )
     done = command("sweep", "sweep.yaml", "--out", "out", "--workers", "1", "--no-report", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
-    table, _ = read_table(tmp_path / "out" / TABLE)
+    table, _ = read_table(tmp_path / "out" / SWEEP_TABLE)
     assert sorted(signal_of(table, "a.y")[:, -1]) == [1.0, 2.0, 10.0, 20.0]
 
 

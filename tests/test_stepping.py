@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cosim.blocks.coupling import OWN, Algorithm, Plan
+from cosim.blocks.coupling import OWN_ALGORITHMS, Algorithm, Plan
 from cosim.core.errors import InputError, Interrupted
 from cosim.files.results import Results
 from cosim.isolation.rows import Rows
@@ -72,12 +72,12 @@ def test_an_algorithm_of_a_third_party_is_stepped_by_both_loops(
     components = {"r": reference(w=[(0.3, 1, 0.7)]), "a": {"fmu": "one.fmu"}, "b": {"fmu": "one.fmu"}}
     wires, order = ["r.w → a.u0", "a.y1 → b.u1", "b.y1 → a.u2"], ["r", "a", "b"]
     usual = same(tmp_path, components, wires, order=order)
-    monkeypatch.setattr("cosim.blocks.coupling.OWN", (*OWN, names["REVERSED"]))
+    monkeypatch.setattr("cosim.blocks.coupling.OWN_ALGORITHMS", (*OWN_ALGORITHMS, names["REVERSED"]))
     backwards = scenario(tmp_path, components, wires, order=order, algorithm="reversed")
     assert not np.array_equal(stopped(backwards)[1].values, usual.values)
     assert [stage.component.name for stage in build_system(backwards).stages] == ["r", "b", "a"]
     third = type("Third", (Algorithm,), {"name": "third", "plan": lambda *given: Plan(("a",), (False,) * 3)})
-    monkeypatch.setattr("cosim.blocks.coupling.OWN", (*OWN, third()))
+    monkeypatch.setattr("cosim.blocks.coupling.OWN_ALGORITHMS", (*OWN_ALGORITHMS, third()))
     with pytest.raises(InputError, match="third steps a; "):
         build_system(scenario(tmp_path, components, wires, algorithm="third"))
 

@@ -18,7 +18,7 @@ import pytest
 import cosim
 from cosim.core.arrays import Array
 from cosim.core.errors import InputError
-from cosim.estimation.kernel.kernel import DISTURBANCE, MEMORY, Data, Filtered, Kernel, Layout, Simulated
+from cosim.estimation.kernel.kernel import CORRELATION_TIME, DISTURBANCE, Data, Filtered, Kernel, Layout, Simulated
 from cosim.estimation.subject.candidates import Candidate, base_parameter, effect
 from cosim.estimation.subject.interface import Replayer, Start, Subject, Workplace
 from cosim.logs.log import Log
@@ -38,12 +38,12 @@ def row_ahead(p: Mapping[str, float], state: Pair, u: float, h: float, substeps:
     push, drag, dry = (value / p["mass"] for value in ((1.0 + p["gain.excess"]) * u, p["viscous"], p["coulomb.force"]))
 
     def rates(v: float, d: float) -> Pair:
-        return push - drag * v - dry * math.tanh(v / SOFT) + d, -d / p[MEMORY]
+        return push - drag * v - dry * math.tanh(v / SOFT) + d, -d / p[CORRELATION_TIME]
 
     (v, d), Phi = state, np.eye(2)
     for _ in range(substeps):
         slope = drag + dry * (1.0 - math.tanh(v / SOFT) ** 2) / SOFT
-        Ah = h * np.array([[-slope, 1.0], [0.0, -1.0 / p[MEMORY]]])
+        Ah = h * np.array([[-slope, 1.0], [0.0, -1.0 / p[CORRELATION_TIME]]])
         Phi += Ah @ (Phi + Ah @ (Phi + Ah @ Phi / 3.0) / 2.0)
         a1, b1 = rates(v, d)
         a2, b2 = rates(v + 0.5 * h * a1, d + 0.5 * h * b1)
@@ -58,7 +58,7 @@ class RailKernel:
     """An extended Kalman filter of speed and unknown input."""
 
     layout = Layout(
-        ("mass", "viscous", "coulomb.force", "gain.excess", MEMORY),
+        ("mass", "viscous", "coulomb.force", "gain.excess", CORRELATION_TIME),
         ("speed", f"{DISTURBANCE}speed"),
         ("push",),
         ("speed",),
@@ -111,7 +111,7 @@ class RailReplayer(Replayer):
                 state = start.states["speed"], 0.0
                 for row in range(k + 1, min(log.rows, k + round(span) + 1)):
                     push = float(log.inputs["push"][row - 1])
-                    state, _ = row_ahead({**values, MEMORY: 1.0}, state, push, log.step / 4, 4)
+                    state, _ = row_ahead({**values, CORRELATION_TIME: 1.0}, state, push, log.step / 4, 4)
                     speed[row] = state[0]
             yield Replay(horizon, {k: dict(start.states) for k, start in begins.items()}, {"speed": speed})
 

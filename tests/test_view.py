@@ -20,7 +20,7 @@ from cosim.files.results import Results
 from cosim.files.run_entries import entries
 from cosim.pages import rows as tables
 from cosim.pages.layouts import Layouts
-from cosim.pages.rows import TIME, Recording, open_rows
+from cosim.pages.rows import TIME_COLUMN, Recording, open_rows
 from cosim.pages.runs import RunPlace, ViewedRun, find_runs, open_runs
 from cosim.pages.server import ServedPage
 from cosim.pages.view_page import view_page
@@ -46,7 +46,7 @@ def times(kind: str, rows: int) -> Array:
 def recording(time: Array, values: Array, *, grows: bool) -> Recording:
     """A recording, or one to which rows are added in parts, the last of at most three rows."""
     if not grows:
-        return Recording({TIME: time, "x": values}, {"x": "m"})
+        return Recording({TIME_COLUMN: time, "x": values}, {"x": "m"})
     record, ends = Recording({}, {"x": "m"}), np.cumsum(RNG(5).integers(1, 20_000, 30))
     for part in np.split(np.vstack((time, values)), [*ends[ends < time.size - 3], time.size - 3], axis=1):
         record.append(part)
@@ -96,7 +96,7 @@ def table(path: Path, rows: int) -> Results:
 def stored(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> bool:
     """Read small tables as they are, or convert them too."""
     if request.param:
-        monkeypatch.setattr(tables, "SMALL", 0)
+        monkeypatch.setattr(tables, "MAX_MEMORY_BYTES", 0)
     return bool(request.param)
 
 
@@ -118,7 +118,7 @@ def test_a_converted_table_gives_what_memory_gives(
 def test_a_changed_table_is_converted_again_and_old_conversions_are_removed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(tables, "SMALL", 0)
+    monkeypatch.setattr(tables, "MAX_MEMORY_BYTES", 0)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     path, cache = tmp_path / "results.csv", tmp_path / "cache" / "cosim" / "view"
     table(path, 5000)
@@ -260,11 +260,11 @@ def test_points_values_planes_and_tables_come_from_the_server(page: tuple[Served
 @pytest.mark.parametrize("small", [True, False])
 def test_columns_of_a_table_are_named_by_the_user(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, small: bool) -> None:
     if not small:
-        monkeypatch.setattr(tables, "SMALL", 0)
+        monkeypatch.setattr(tables, "MAX_MEMORY_BYTES", 0)
     (tmp_path / "a.csv").write_text("count,stamp,v [m]\n7,0,1\n7,1,2\n7,2,3\n")
     run = RunPlace("a", "a", tmp_path / "a.csv", columns={"stamp": "time", "v": "speed"})
     rows = ViewedRun(run).rows
-    assert (rows.read(TIME).tolist(), rows.read("speed").tolist()) == ([0, 1, 2], [1, 2, 3])
+    assert (rows.read(TIME_COLUMN).tolist(), rows.read("speed").tolist()) == ([0, 1, 2], [1, 2, 3])
     assert rows.unit("speed") == "m"
     words = "view", "a.csv", "--prepare", "--column"
     monkeypatch.chdir(tmp_path)
@@ -277,7 +277,9 @@ def test_statistics_and_spectra_are_those_of_the_rows_between_two_times(tmp_path
     time = np.arange(20_000) * 1e-3
     values = 3.0 + 2.0 * np.sin(2.0 * np.pi * 12.5 * time)
     values[100], values[15_000] = np.nan, 1e6  # a gap, and a peak after the range
-    run = ViewedRun(RunPlace("r", "r", tmp_path / "r.csv"), rows=Recording({TIME: time, "x": values}, {"x": "m"}))
+    run = ViewedRun(
+        RunPlace("r", "r", tmp_path / "r.csv"), rows=Recording({TIME_COLUMN: time, "x": values}, {"x": "m"})
+    )
     (tmp_path / "r.csv").write_text("time,x\n")
     few = {"from": 0.0, "to": 0.01, "curves": [[0, "x"]]}
     with view_page("r", [run], Layouts(tmp_path / "view.json")) as page:

@@ -14,7 +14,7 @@ import pytest
 
 from benchmarks.view import write_layout
 from cosim.pages.layouts import Layouts
-from cosim.pages.rows import TIME, Recording
+from cosim.pages.rows import TIME_COLUMN, Recording
 from cosim.pages.runs import RunPlace, ViewedRun
 from cosim.pages.server import ServedPage
 from cosim.pages.view_page import view_page
@@ -40,10 +40,10 @@ def page_of_runs(tmp_path: Path) -> Iterator[ServedPage]:
         position[70_000] = 9.0
         columns = {"mass.x": position, "mass.v": np.cos(at), "mass.f": 1e4 * np.cos(at), "Mass.x": at}
         units = {"mass.x": "m", "mass.v": "m/s", "mass.f": "N", "Mass.x": "m"}
-        runs.append(_run(tmp_path / f"r{k}.csv", k, Recording({TIME: at, **columns}, units)))
+        runs.append(_run(tmp_path / f"r{k}.csv", k, Recording({TIME_COLUMN: at, **columns}, units)))
     names = [f"bus.n{k // 100}.s{k}" for k in range(MANY)]
     wide = {name: np.array([0.0, 1.0]) for name in names}
-    recording = Recording({TIME: np.array([0.0, 100.0]), **wide}, dict.fromkeys(names, ""))
+    recording = Recording({TIME_COLUMN: np.array([0.0, 100.0]), **wide}, dict.fromkeys(names, ""))
     runs.append(_run(tmp_path / "wide.csv", 2, recording))
     with view_page("3 runs", runs, Layouts(tmp_path / "view.json")) as page:
         yield page
@@ -197,7 +197,7 @@ def test_many_curves_are_painted_as_pixels_with_every_peak_and_printed_as_lines(
     at, names = np.arange(ROWS) * 1e-3, [f"plant{k // 10}.x{k % 10}" for k in range(30)]
     columns = {name: np.full(ROWS, float(k)) for k, name in enumerate(names)}
     columns[names[0]][70_000] = 90.0
-    run = _run(tmp_path / "r0.csv", 0, Recording({TIME: at, **columns}, dict.fromkeys(names, "m")))
+    run = _run(tmp_path / "r0.csv", 0, Recording({TIME_COLUMN: at, **columns}, dict.fromkeys(names, "m")))
     write_layout(tmp_path / "view.json", "r0", 30)
     faults: list[str] = []
     with view_page("a run", [run], Layouts(tmp_path / "view.json")) as served:

@@ -22,7 +22,7 @@ from cosim.core.drafts import draft_of
 from cosim.core.errors import Fault, InputError
 from cosim.core.messages import Note
 from cosim.core.text import NOT_IN_YAML, as_yaml, unique_name
-from cosim.core.times import difference
+from cosim.core.times import STEP_COUNT_TOLERANCE, difference
 from cosim.fmi.description import no_library, platform_of, takes_any_step, unit_of
 from cosim.fmi.model_description import sampled_by
 from cosim.scenario.scenario_file import ScenarioFile
@@ -30,15 +30,14 @@ from cosim.scenario.start_values import settable
 from cosim.system.events import default_block
 from cosim.system.system import System, build_system
 
-STOP, STEPS = 1.0, 500  # defaults if the FMUs declare none: duration [s], number of steps
+GUESSED_STOP_S, GUESSED_STEPS = 1.0, 500  # defaults if the FMUs declare none: duration [s], number of steps
 SPELLING = str.maketrans({"ä": "ae", "ö": "oe", "ü": "ue", "ß": "ss"})
-LONGEST = 24  # characters of a component's name, which precedes every signal
-MOST_STEPS = 20_000  # maximum number of steps of a first run, so that it is short
-SLACK = 1e-9  # relative tolerance for a whole number of steps
+MAX_NAME_LENGTH = 24  # characters of a component's name, which precedes every signal
+MAX_FIRST_RUN_STEPS = 20_000  # maximum number of steps of a first run, so that it is short
 MAX_PORTS = 6  # inputs and outputs in a message
 BY = "# Written by `cosim {}`."
-MAX_PARAMETERS = 12  # shown per FMU
-PLAIN = re.compile(r"[A-Za-z_][\w.]*")
+MAX_DRAFT_PARAMETERS = 12  # shown per FMU
+PLAIN_SCALAR = re.compile(r"[A-Za-z_][\w.]*")
 NOT_TEXT = {"true", "false", "yes", "no", "on", "off", "null", "y", "n"}  # YAML words that need quotes as text
 
 
@@ -82,7 +81,7 @@ class Times:
 def component_name(stem: str, model: str = "") -> str:
     """Return a component name from the file name, or from the model name if the file name is long."""
     names = [_identifier(stem), _identifier(model.rpartition(".")[2])]
-    name = next((name for name in names if 0 < len(name) <= LONGEST), names[0][:LONGEST].rstrip("_"))
+    name = next((name for name in names if 0 < len(name) <= MAX_NAME_LENGTH), names[0][:MAX_NAME_LENGTH].rstrip("_"))
     return (f"fmu_{name}" if name[:1].isdigit() else name) or "fmu"
 
 
@@ -120,7 +119,7 @@ def times_of(
     stop: float | None = None,
     step: float | None = None,
     usual_step: float | None = None,
-    most: int = MOST_STEPS,
+    most: int = MAX_FIRST_RUN_STEPS,
 ) -> Times:
     """Return start, duration and step of a run.
 
@@ -147,7 +146,7 @@ def times_of(
     if start is None:
         start = min((e.get("start", 0.0) for e in experiments.values()), default=0.0)
     ends = {name: e["stop"] for name, e in experiments.items() if e.get("stop", start) > start}
-    duration, why_duration = STOP, "a guess; no FMU declares a duration"
+    duration, why_duration = GUESSED_STOP_S, "a guess; no FMU declares a duration"
     if stop is not None:
         duration, why_duration = difference(stop, start), "given"
     elif ends:
@@ -163,29 +162,29 @@ def times_of(
     elif usual_step is not None:
         h, why_step = min(usual_step, duration), "the typical spacing of its rows"
     else:  # rounded down to 1, 2 or 5 × 10^n
-        why_step, guess = "a guess; no FMU declares a step", duration / STEPS
+        why_step, guess = "a guess; no FMU declares a step", duration / GUESSED_STEPS
         power = 10.0 ** math.floor(math.log10(guess) + 1e-9)
         h = float(f"{max(m * power for m in (1, 2, 5) if m * power <= guess * (1 + 1e-9)):.12g}")
-    if step is not None and h > duration * (1 + SLACK):
+    if step is not None and h > duration * (1 + STEP_COUNT_TOLERANCE):
         text = f"--step {h:g} is longer than the run of {duration:g} s ({why_duration}); give a shorter step"
         raise InputError.at(parts[0].path, f"{text}, or a later --stop")
-    count = max(1, math.ceil(duration / h - SLACK))
+    count = max(1, math.ceil(duration / h - STEP_COUNT_TOLERANCE))
     if stop is None and count > most:
         why_duration = f"limited to {most} steps; {why_duration}: {duration:g} s"
         count, duration = most, most * h
     notes, end = list[str](), start + duration
     if stop is not None and step is None and not own:
         fitting = duration / count
-        if abs(fitting - h) > SLACK * h:
+        if abs(fitting - h) > STEP_COUNT_TOLERANCE * h:
             notes.append(
                 Note(f"the step is {fitting:g} s instead of {h:g} s ({why_step}), so that the run ends at {end:g} s")
             )
             why_step = f"{count} steps to the end; instead of {h:g} s, {why_step}"
         h = fitting
     else:
-        own = {n: required for n, required in own.items() if required > h * (1 + SLACK)}
+        own = {n: required for n, required in own.items() if required > h * (1 + STEP_COUNT_TOLERANCE)}
         whole = float(f"{count * h:.12g}")
-        if abs(whole - duration) > SLACK * duration:
+        if abs(whole - duration) > STEP_COUNT_TOLERANCE * duration:
             text = f"the run ends at {start + whole:g} s instead of {end:g} s ({why_duration})"
             notes.append(Note(f"{text}, after a whole number of steps of {h:g} s ({why_step})"))
             why_duration = f"a whole number of steps; {why_duration}: {duration:g} s"
@@ -323,13 +322,13 @@ def _component(folder: Path, part: DraftPart, times: Times) -> Iterator[str]:
         yield from (f"      {scalar(name)}: {scalar(value)}" for name, value in part.start.items())
     elif parameters:
         yield "    # start:"
-    for v in [v for v in parameters if v.name not in part.start][:MAX_PARAMETERS]:
+    for v in [v for v in parameters if v.name not in part.start][:MAX_DRAFT_PARAMETERS]:
         is_text, start = v.type == "String", "" if v.start is None else str(v.start)
         value = scalar(start if is_text else start.strip(), literal=not is_text)
         about = ", ".join(filter(None, (unit_of(v), _comment(v.description or "")[:80])))
         yield f"    #   {scalar(v.name)}: {value}" + (f" # {_comment(about)}" if about else "")
-    if len(parameters) > MAX_PARAMETERS:
-        yield f"    #   … and {len(parameters) - MAX_PARAMETERS} more: cosim info {_comment(part.path.name)}"
+    if len(parameters) > MAX_DRAFT_PARAMETERS:
+        yield f"    #   … and {len(parameters) - MAX_DRAFT_PARAMETERS} more: cosim info {_comment(part.path.name)}"
 
 
 def _connections(matches: Matches) -> Iterator[str]:
@@ -366,7 +365,7 @@ def scalar(value: Any, literal: bool = False) -> str:
     """
     if not isinstance(value, str):
         return json.dumps(value)
-    plain = PLAIN.fullmatch(value) and value.lower() not in NOT_TEXT
+    plain = PLAIN_SCALAR.fullmatch(value) and value.lower() not in NOT_TEXT
     return value if plain or (literal and value) else as_yaml(value)
 
 

@@ -30,8 +30,8 @@ from cosim.simulation.packaged import IMPORTERS
 from cosim.ssp.write import SspConnector, SspFmu, Value, Whole, defined_units, write_ssp
 from cosim.system.system import System, build_system
 
-IDENTITY = (1.0, 0.0)  # factor and offset
-TYPES = ("Real", "Integer", "Boolean")  # types connected by all importing tools
+NO_CONVERSION = (1.0, 0.0)  # factor and offset
+PORTABLE_TYPES = ("Real", "Integer", "Boolean")  # types connected by all importing tools
 
 
 @dataclass(frozen=True)
@@ -87,14 +87,14 @@ def export_ssp(
         for c in s.connections:
             source, output, component, input_ = c.ends
             first, last, linear = (source, output), (component, input_), conversions[c.target]
-            if linear != IDENTITY:
+            if linear != NO_CONVERSION:
                 converted.append(c.target)
-            if linear != IDENTITY and insert_gains:
+            if linear != NO_CONVERSION and insert_gains:
                 gain = f"gain_{component}_{input_}"
                 units_of_ends = system.signals[c.source].unit, system.signals[c.target].unit
                 models.append(_gain(file, gain, linear, units_of_ends, folder))
-                ends.append((first, (gain, "u"), IDENTITY))
-                first, linear = (gain, "y"), IDENTITY
+                ends.append((first, (gain, "u"), NO_CONVERSION))
+                first, linear = (gain, "y"), NO_CONVERSION
             ends.append((first, last, linear))
         descriptions = {name: description for name, (_, description) in system.fmus.items()}
         units = defined_units((descriptions.get(m.name), port.unit) for m in models for port in m.ports)
@@ -155,8 +155,8 @@ def _faults(file: ScenarioFile, system: System) -> Iterator[Fault]:
         kinds = [signal.kind for signal in ends if signal is not None]
         if None in ends:
             yield file.fault(("connections", k), "SSP 1.0 cannot connect arrays; connect their elements")
-        elif not {*kinds} <= {"", *TYPES} or len({*kinds} - {""}) > 1:
-            text = f"connects {' to '.join(kinds)}; importers connect equal types, of {', '.join(TYPES)}"
+        elif not {*kinds} <= {"", *PORTABLE_TYPES} or len({*kinds} - {""}) > 1:
+            text = f"connects {' to '.join(kinds)}; importers connect equal types, of {', '.join(PORTABLE_TYPES)}"
             yield file.fault(("connections", k), text)
 
 
@@ -169,7 +169,11 @@ def _model(file: ScenarioFile, name: str, system: System) -> SspFmu:
     assert isinstance(block, FmuBlock)
     targets = {c.target for c in file.scenario.connections}
     ports = [SspConnector(s.name, "input", s.kind, s.unit) for s in block.inputs if f"{name}.{s.name}" in targets]
-    ports += [SspConnector(s.name, "output", s.kind, s.unit) for s in block.outputs if s.kind in TYPES and not s.local]
+    ports += [
+        SspConnector(s.name, "output", s.kind, s.unit)
+        for s in block.outputs
+        if s.kind in PORTABLE_TYPES and not s.local
+    ]
     variables = {v.name: v for v in block.description.modelVariables}
     start: dict[str, tuple[str, Value]] = {}
     for n, value in block.start_values.items():

@@ -13,7 +13,7 @@ from types import MappingProxyType
 from cosim.blocks.component import Signal
 from cosim.fmi.fmi_types import is_compatible
 
-WORDS = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+")
+NAME_WORD = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+")
 IGNORED_WORDS = {"in", "out", "input", "output", "signal", "value"}
 MIN_SCORE = 0.6  # required scores: for similar names, and for less similar names with the same unit
 # score changes: equal units, a unit on one side only, an output already connected
@@ -161,7 +161,7 @@ def _score(a: Signal, b: Signal) -> float:
 
 @cache
 def _words(name: str) -> list[str]:
-    words = [word.lower() for word in WORDS.findall(name)]
+    words = [word.lower() for word in NAME_WORD.findall(name)]
     return [word for word in words if word not in IGNORED_WORDS] or words
 
 

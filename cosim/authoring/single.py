@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 
 from cosim.authoring.draft import (
-    SLACK,
     DraftPart,
     parts_of,
     scenario_text,
@@ -31,7 +30,7 @@ from cosim.core.errors import Fault, InputError, refuse
 from cosim.core.messages import Note
 from cosim.core.settings import Given, Names, PositiveSeconds, Seconds, column_names, normalize_settings
 from cosim.core.text import did_you_mean, split_assignment
-from cosim.core.times import difference
+from cosim.core.times import STEP_COUNT_TOLERANCE, difference
 from cosim.core.units import computed_in
 from cosim.files.artefact import LOG
 from cosim.files.files import FilePath, check_writable
@@ -42,7 +41,7 @@ from cosim.logs.log import read_column_names
 from cosim.simulation.run_signals import Run
 from cosim.simulation.workflow import run
 
-MAX_STEPS = 1_000_000  # number of steps if the FMU declares no step
+MAX_UNDECLARED_STEPS = 1_000_000  # number of steps if the FMU declares no step
 
 
 def simulate(
@@ -111,7 +110,7 @@ def simulate(
             begin, last = float(time[0]), float(time[-1])
             first = begin if first is None else max(first, begin)
             source, end = csv, last if stop is None else stop
-            if first > begin or end > last * (1 + SLACK):
+            if first > begin or end > last * (1 + STEP_COUNT_TOLERANCE):
                 text_ = f"{csv.name} covers {begin:g} … {last:g} s, the run {first:g} … {end:g} s"
                 kept = f"; after {last:g} s, each input keeps its last value in the file" if end > last else ""
                 notes.append(Note(text_ + kept))
@@ -123,7 +122,7 @@ def simulate(
         if end is not None and end <= (first or 0.0):
             reason = f"the end {end:g} s is before the start {first or 0.0:g} s of the run; give a later --stop"
             raise InputError.at(source, reason)
-        times = times_of([part], start=first, stop=end, step=step, usual_step=usual, most=MAX_STEPS)
+        times = times_of([part], start=first, stop=end, step=step, usual_step=usual, most=MAX_UNDECLARED_STEPS)
         check_writable(place, (scenario.name,), [path, *([csv] if csv else [])])
         text_ = scenario_text(place, [part], matches, times, DEFAULT, played=(csv, interpolation), verb="simulate")
         names = [n if n.startswith(f"{part.name}.") else f"{part.name}.{n}" for n in record]

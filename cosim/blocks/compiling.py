@@ -14,12 +14,12 @@ from typing import Any, TypeVar
 
 from cosim.core.drafts import draft_of
 from cosim.core.errors import FmuError
-from cosim.fmi.description import CPP, C, library_file
+from cosim.fmi.description import C_ENDINGS, CPP_ENDINGS, library_file
 from cosim.fmi.native.compiler import CompilerFailed, NoCompiler, fmi_headers, library_command, library_of
 
-SOURCES = "sources"
-LIMIT = 300.0  # time limit [s] of the compiler per FMU
-MAX_LINES, MAX_WIDTH = 20, 200  # shown lines of the compiler's output, and characters per line
+SOURCES_FOLDER = "sources"
+FMU_COMPILE_LIMIT_S = 300.0  # time limit [s] of the compiler per FMU
+MAX_COMPILER_LINES, MAX_COMPILER_LINE_CHARACTERS = 20, 200  # excerpt of the compiler output: lines, characters per line
 OPTIMIZED = ("-O3", "-DNDEBUG", "-w")
 PLAIN_NAMES = ("-DFMI2_OVERRIDE_FUNCTION_PREFIX", "-DFMI3_OVERRIDE_FUNCTION_PREFIX")  # names of shared libraries
 LANGUAGES = (
@@ -57,7 +57,7 @@ def compile_library(folder: Path, description: Any, identifier: str) -> Path:
     Raises:
         FmuError: The sources are incomplete or do not compile.
     """
-    root = folder / SOURCES
+    root = folder / SOURCES_FOLDER
     try:
         names, options, includes = _declared_sources(root, description, identifier)
         for name in (*names, *includes):
@@ -73,20 +73,20 @@ def compile_library(folder: Path, description: Any, identifier: str) -> Path:
                 f"its sources cannot be compiled: {', '.join(missing)} of its list is missing; export it again "
                 "with all its sources"
             )
-        folders = (SOURCES, *(f"{SOURCES}/{name}" for name in includes), fmi_headers())
-        *first, last = (f"{SOURCES}/{name}" for name in names)
+        folders = (SOURCES_FOLDER, *(f"{SOURCES_FOLDER}/{name}" for name in includes), fmi_headers())
+        *first, last = (f"{SOURCES_FOLDER}/{name}" for name in names)
         command = [*library_command(), *OPTIMIZED, *PLAIN_NAMES, *options, *(f"-I{part}" for part in folders), *first]
-        libraries = ["-lm", *(["-lstdc++"] if any(name.lower().endswith(CPP) for name in names) else [])]
+        libraries = ["-lm", *(["-lstdc++"] if any(name.lower().endswith(CPP_ENDINGS) for name in names) else [])]
         entry = ENTRY[description.fmiVersion[0]].format(identifier=identifier)
         paths = sorted(path for path in root.rglob("*") if path.is_file())
         files = {path.relative_to(folder).as_posix(): path.read_bytes() for path in paths}
-        binary = library_of(files, last, command, [entry], libraries=libraries, limit=LIMIT).read_bytes()
+        binary = library_of(files, last, command, [entry], libraries=libraries, limit=FMU_COMPILE_LIMIT_S).read_bytes()
     except NoCompiler as error:
         raise FmuError(f"its sources cannot be compiled: {error}") from None
     except CompilerFailed as error:
         lines = error.output.splitlines()
-        more = [f"… and {len(lines) - MAX_LINES} lines more"] if len(lines) > MAX_LINES else []
-        excerpt = "".join(f"\n  {line[:MAX_WIDTH]}" for line in [*lines[:MAX_LINES], *more])
+        more = [f"… and {len(lines) - MAX_COMPILER_LINES} lines more"] if len(lines) > MAX_COMPILER_LINES else []
+        excerpt = "".join(f"\n  {line[:MAX_COMPILER_LINE_CHARACTERS]}" for line in [*lines[:MAX_COMPILER_LINES], *more])
         raise FmuError(f"its sources do not compile: {error}{excerpt}") from None
     library = library_file(folder, description, identifier)
     with draft_of(library) as draft:
@@ -103,7 +103,7 @@ def _declared_sources(root: Path, description: Any, identifier: str) -> tuple[li
     builds = sorted(description.buildConfigurations, key=lambda build: build.modelIdentifier != identifier)
     sets = builds[0].sourceFileSets if builds else []
     if not sets:
-        names = sorted(p.name for p in root.glob("*") if p.suffix.lower() in (*C, *CPP))
+        names = sorted(p.name for p in root.glob("*") if p.suffix.lower() in (*C_ENDINGS, *CPP_ENDINGS))
         return ["all.c"] if (root / "all.c").is_file() else names, [], []
     languages = [part.language for part in sets if part.language]
     for language in languages:

@@ -1,8 +1,8 @@
 """Coupling algorithms: names, and plans of a communication step.
 
-An algorithm is a subclass of `Algorithm` with an object in `OWN`, or registered by a package in the group
-`cosim.algorithms`; docs/extending.md shows an example. Other modules use the plan, and never compare names of
-algorithms.
+An algorithm is a subclass of `Algorithm` with an object in `OWN_ALGORITHMS`, or registered by a package in the group
+`cosim.algorithms`; docs/extending.md shows an example. The loops in Python and C, sweeps, export, drafts and diagrams
+follow the plan and never compare names.
 
 In a sequential algorithm, a component steps after the sources of its inputs with direct feedthrough, and gets their new
 values. All other inputs are held: they have the values from the start of the step. Components that need each other's
@@ -189,14 +189,14 @@ class Jacobi(Algorithm):
         return Plan(tuple(components), (False,) * len(edges))
 
 
-OWN: tuple[Algorithm, ...] = (GaussSeidel(), Jacobi())
-DEFAULT = OWN[0]
-WITHOUT_ORDER = OWN[1]  # Jacobi, for components of an algebraic loop, which have no order
+OWN_ALGORITHMS: tuple[Algorithm, ...] = (GaussSeidel(), Jacobi())
+DEFAULT = OWN_ALGORITHMS[0]
+WITHOUT_ORDER = OWN_ALGORITHMS[1]  # for components in an algebraic loop, which have no order
 
 
 def algorithms() -> dict[str, Algorithm]:
     """Return all available algorithms by name: cosim's own, then algorithms of installed packages."""
-    by_name = {algorithm.name: algorithm for algorithm in OWN}
+    by_name = {algorithm.name: algorithm for algorithm in OWN_ALGORITHMS}
     for _, algorithm in registered(ALGORITHMS, Algorithm):
         by_name.setdefault(algorithm.name, algorithm)
     return by_name

@@ -30,8 +30,8 @@ from cosim.fmi.fmi_types import Exchange, element_names
 
 ClockKind = Literal["constant", "fixed", "tunable", "changing", "countdown", "triggered"]
 PERIODIC = ("constant", "fixed", "tunable")
-NUMBERS = {"intervalDecimal", "intervalCounter", "resolution", "shiftDecimal", "shiftCounter", "priority"}
-LOWEST = 2**31  # priority of a clock that declares none: after all others
+CLOCK_NUMBERS = {"intervalDecimal", "intervalCounter", "resolution", "shiftDecimal", "shiftCounter", "priority"}
+LOWEST = 2**31  # priority of a clock without one: after all others
 
 
 @dataclass(frozen=True)
@@ -87,7 +87,7 @@ def read_clocks(path: Path, description: Any) -> dict[str, Clock]:
         name = node.get("name", "")
         if name in variables:
             attributes = {**types.get(node.get("declaredType"), {}), **node.attrib}
-            numbers = {key: _number(path, name, key, attributes[key]) for key in NUMBERS & attributes.keys()}
+            numbers = {key: _number(path, name, key, attributes[key]) for key in CLOCK_NUMBERS & attributes.keys()}
             kind, resolution = attributes.get("intervalVariability", "triggered"), numbers.get("resolution", 1.0)
             interval = numbers.get("intervalDecimal")
             if interval is None and "intervalCounter" in numbers:

@@ -10,8 +10,8 @@ from typing import Any
 from cosim.blocks.component import Component, Signal
 from cosim.blocks.faults import stream
 
-COUNT = "fix"  # name of the output with the number of fixes
-STATE = "_point", "_measured", "_count", "_values", "_errors", "_opening"  # attributes stored in a checkpoint
+COUNT = "fix"  # name of the counting output
+SAVED_ATTRIBUTES = "_point", "_measured", "_count", "_values", "_errors", "_opening"  # attributes in a checkpoint
 
 
 def fix_outputs(signals: Iterable[str]) -> list[str]:
@@ -94,11 +94,11 @@ class Fixes(Component):
             self._count += 1
 
     def checkpoint(self) -> dict[str, Any]:
-        state = {name: getattr(self, name) for name in STATE}
+        state = {name: getattr(self, name) for name in SAVED_ATTRIBUTES}
         return state | {"queue": [*self._queue], "random": [rng.bit_generator.state for rng in self._streams]}
 
     def restore(self, state: dict[str, Any]) -> None:
-        for name in STATE:
+        for name in SAVED_ATTRIBUTES:
             setattr(self, name, state[name])
         self._queue = deque((point, values) for point, values in state["queue"])
         for rng, saved in zip(self._streams, state["random"], strict=True):

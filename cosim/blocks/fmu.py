@@ -15,7 +15,7 @@ from typing import Any, Self
 
 from cosim.blocks.compiling import permission
 from cosim.blocks.component import ADVANCE, in_turn
-from cosim.blocks.instance import Instance, end_of
+from cosim.blocks.instance import SIZE, Instance, end_of
 from cosim.blocks.model_exchange import ModelExchange
 from cosim.blocks.solvers import Solver
 from cosim.blocks.stepping import Move, Slot, StopReason
@@ -26,7 +26,7 @@ from cosim.fmi.fmi_types import element_names
 from cosim.fmi.model_description import AUTHOR, optional_inputs, sampled_by, traits_of
 from cosim.fmi.state import Memory, Own, own_of, with_memory
 
-POINTER, SIZE = ctypes.c_void_p, ctypes.c_size_t
+POINTER = ctypes.c_void_p
 SET_DERIVATIVES = ctypes.CFUNCTYPE(ctypes.c_int, POINTER, POINTER, SIZE, POINTER, POINTER)
 
 

@@ -32,7 +32,7 @@ from cosim.core.scratch import process_folder
 from cosim.files.archive import unpack
 from cosim.fmi.description import (
     C_CODE,
-    PARTS,
+    INTERFACE_ATTRIBUTES,
     Way,
     library_of,
     no_library,
@@ -45,15 +45,15 @@ from cosim.fmi.lifetime import KEEPER, let_go_at_exit
 LAST_SUCCESSFUL, TERMINATED = 2, 3  # fmi2StatusKind
 BOOLEAN, DOUBLE = ctypes.c_bool, ctypes.c_double
 SIZE, REFERENCE, INT = ctypes.c_size_t, ctypes.c_void_p, ctypes.c_int
-MOVED = REFERENCE, REFERENCE, SIZE, REFERENCE, SIZE  # types of arguments; the last only in FMI 3.0
-STEPS = {
+MOVED = REFERENCE, REFERENCE, SIZE, REFERENCE, SIZE  # arguments that set or get values; the last one is of FMI 3.0
+DO_STEP_TYPES = {
     1: ctypes.CFUNCTYPE(INT, REFERENCE, DOUBLE, DOUBLE, ctypes.c_byte),
     2: ctypes.CFUNCTYPE(INT, REFERENCE, DOUBLE, DOUBLE, INT),
     3: ctypes.CFUNCTYPE(INT, REFERENCE, DOUBLE, DOUBLE, BOOLEAN, *[REFERENCE] * 4),
 }
 Step = Callable[[Any, float, float, int], int]
-Listen = Callable[[int, bytes | None], None]  # called with status and message
-STATUS = ("OK", "Warning", "Discard", "Error", "Fatal", "Pending")
+Listen = Callable[[int, bytes | None], None]  # status and message
+STATUS_NAMES = ("OK", "Warning", "Discard", "Error", "Fatal", "Pending")
 WARNING, DISCARD, FATAL = 1, 2, 4
 LONGEST_MESSAGE = 1000  # characters of a message
 KEPT_FIRST, KEPT_LAST = 50, 50  # number of first and last messages that are kept
@@ -192,7 +192,7 @@ class Instance:
         self.name, self.path, self.description = name, path, description
         self.version = int(description.fmiVersion[0])
         self.prefix = "fmi" if self.version == 1 else f"fmi{self.version}"
-        self.about = getattr(description, PARTS[self.way])
+        self.about = getattr(description, INTERFACE_ATTRIBUTES[self.way])
         self.is_event, self.ends, self.is_early, self.last = BOOLEAN(), BOOLEAN(), BOOLEAN(), DOUBLE()
         self.flags = tuple(ctypes.byref(cell) for cell in (self.is_event, self.ends, self.is_early, self.last))
         self.by_pythonfmu = "pythonfmu" in (description.generationTool or "").lower()
@@ -362,8 +362,8 @@ class Instance:
         return partial(self.bare(ctypes.CFUNCTYPE(INT), name), *values)
 
     def step_function(self) -> Any:
-        """Return the library's function for a communication step."""
-        return self.bare(STEPS[self.version], "DoStep")
+        """Return the library's function for a step."""
+        return self.bare(DO_STEP_TYPES[self.version], "DoStep")
 
     def stepping(self) -> Step:
         """Return a function of (component, t, h, flag) → status."""
@@ -451,7 +451,7 @@ class Instance:
             )
         if status == FATAL:  # FMI requires to abandon the instance
             self.fmu = None
-        words, name = self.last_words(), STATUS[status] if 0 <= status < len(STATUS) else status
+        words, name = self.last_words(), STATUS_NAMES[status] if 0 <= status < len(STATUS_NAMES) else status
         if "KeyboardInterrupt" in words:  # Ctrl-C arrived while the FMU's Python code ran.
             raise KeyboardInterrupt
         because = f": {words}" if words else ""

@@ -21,9 +21,9 @@ OTHER_SYSTEMS = {
 PROCESSORS = {3: "x86", 8: "MIPS", 21: "PowerPC", 40: "ARM", 62: "x86-64", 183: "AArch64", 243: "RISC-V"}
 MACHINES = {"x86_64": 62, "amd64": 62, "i386": 3, "i686": 3, "aarch64": 183, "arm64": 183, "riscv64": 243}
 BITS = {1: 32, 2: 64}
-MISSING = re.compile(r"(?P<file>[^\s:/]+): cannot open shared object file: No such file")
+MISSING_LIBRARY = re.compile(r"(?P<file>[^\s:/]+): cannot open shared object file: No such file")
 TOO_NEW = re.compile(r"version `(?P<name>[A-Z]+)_(?P<version>[\d.]+)' not found")
-SYMBOL = re.compile(r"undefined symbol: (?P<name>[^\s,]+)")
+UNDEFINED_SYMBOL = re.compile(r"undefined symbol: (?P<name>[^\s,]+)")
 MAKERS = {"GLIBC": "glibc", "GLIBCXX": "libstdc++", "CXXABI": "libstdc++", "GCC": "libgcc"}
 
 
@@ -67,8 +67,8 @@ def _header_fault(library: Path) -> str | None:
 
 
 def _loader_fault(text: str, error: Exception, hidden: bool) -> str:
-    """Return the message for an error of the loader, with the cure if the cause is known."""
-    if hidden and not isinstance(error, AttributeError) and (TOO_NEW.search(text) or SYMBOL.search(text)):
+    """Return the message for a text of the loader, with the remedy of a known cause."""
+    if hidden and not isinstance(error, AttributeError) and (TOO_NEW.search(text) or UNDEFINED_SYMBOL.search(text)):
         return text
     if match := TOO_NEW.search(text):
         own = ""
@@ -81,13 +81,13 @@ def _loader_fault(text: str, error: Exception, hidden: bool) -> str:
         )
     # FMPy raises a bare Exception.
     cause = error.__context__ if error.__context__ is not None and type(error) is Exception else error
-    if (match := MISSING.search(text)) and isinstance(cause, OSError):
+    if (match := MISSING_LIBRARY.search(text)) and isinstance(cause, OSError):
         return (
             f"needs {match['file']}, which is not on this machine ({text}); install the "
             f"package that contains it, or add its folder to LD_LIBRARY_PATH"
         )
-    if match := SYMBOL.search(text):
-        if isinstance(error, AttributeError):  # the library loads, but an FMI function is missing
+    if match := UNDEFINED_SYMBOL.search(text):
+        if isinstance(error, AttributeError):  # The library is loaded, but an FMI function is missing.
             return (
                 f"has no function {match['name']}, which FMI requires ({text}); export the "
                 "FMU again with a tool that includes this function"

@@ -19,6 +19,7 @@ from cosim.blocks.instance import Instance, Step, end_of
 from cosim.blocks.solvers import DOUBLES, Solver, SolverFailed, derivatives_of, numbers, solver
 from cosim.core.arrays import Array
 from cosim.core.errors import SimulationError
+from cosim.core.times import TIME_TOLERANCE_SHARE, TIME_TOLERANCE_ULPS
 from cosim.fmi.description import Way
 
 EVENTS_NOT_SEPARATED = (
@@ -27,17 +28,15 @@ EVENTS_NOT_SEPARATED = (
     "smaller tolerance to separate more events, or end the run before this time"
 )
 
-TOLERANCE = 1e-5  # default relative tolerance, as in FMPy
-LONGEST = 50  # the largest solver step is this fraction (1/50) of the whole time, as in FMPy
-MOST_EVENTS = 1000  # repeated discrete updates, or consecutive events without time between
-AT_ONCE = 1e-6  # share of a communication step; MOST_EVENTS events within this time are chattering
-CLOSE = 1e-9  # share of a communication step; times closer than this are equal
+DEFAULT_TOLERANCE = 1e-5  # relative tolerance by default, as in FMPy
+MIN_SOLVER_STEPS = 50  # largest solver step as a fraction 1/50 of the whole time, as in FMPy
+MOST_EVENTS = 1000  # discrete updates at a time, or immediately consecutive events
+CHATTERING_SHARE = 1e-6  # fraction of a communication step; MOST_EVENTS within it is chattering
 NO_VARIABLE = 2**32 - 1  # FMI 1.0's value reference of a state without variable
-ULPS = 4  # spacings of doubles; a shorter span is too short for CVODE
-SEPARABLE = 10_000  # spacings of doubles that separate two events; CVODE locates each event within 100
-SHORTENED = 0.25  # a solver step that contains two events is repeated with this share of its length
-EVER_FASTER = 4  # consecutive, ever shorter times between crossings of an indicator that indicate accumulating events
-STRAIGHT = 0.1  # share of a solver step after an event in which an indicator follows its slope, as CVODE assumes
+MIN_EVENT_SPACINGS = 10_000  # multiples of the spacing of doubles between two events; CVODE locates each within 100
+RETRY_STEP_SHARE = 0.25  # share of a solver step that is tried if it does not separate two events
+SHRINKING_SPANS = 4  # spans between crossings of an indicator that are each shorter than the one before
+STRAIGHT_SHARE = 0.1  # of a solver step, in which an indicator follows its slope, as CVODE assumes after an event
 
 
 class ModelExchange(Instance):
@@ -101,8 +100,8 @@ class ModelExchange(Instance):
             states=self._states,
             indicators=self._indicator_count,
             start=self.start_time,
-            longest=self.longest or (self.stop_time - self.start_time) / LONGEST,
-            tolerance=TOLERANCE if self.tolerance is None else self.tolerance,
+            longest=self.longest or (self.stop_time - self.start_time) / MIN_SOLVER_STEPS,
+            tolerance=DEFAULT_TOLERANCE if self.tolerance is None else self.tolerance,
             single_steps=self.needs_completed_steps,
             max_steps=self.max_steps,
         )
@@ -128,8 +127,12 @@ class ModelExchange(Instance):
             getattr(self.fmu, f"enter{mode}Mode")()
 
     def inputs_changed(self, take: Callable[[], None] | None) -> None:
-        if take is None:  # no change is due: handle an event at the end of the step now
-            if self.cause and not self.stops_at_events and not self._is_changed_at(self.reached, CLOSE * self._length):
+        if take is None:  # An event at the end of the step is handled without them, unless a change is due.
+            if (
+                self.cause
+                and not self.stops_at_events
+                and not self._is_changed_at(self.reached, TIME_TOLERANCE_SHARE * self._length)
+            ):
                 self.handle_event(self._length)
             return
         if not self._started:
@@ -168,8 +171,8 @@ class ModelExchange(Instance):
         if self.cause and not self.stops_at_events:  # nothing has changed since the end of the last step
             self.handle_event(h)
         spacing = math.ulp(max(abs(t), abs(end), end - self.start_time))
-        close = ULPS * spacing + CLOSE * h
-        if h <= 2 * ULPS * spacing:
+        close = TIME_TOLERANCE_ULPS * spacing + TIME_TOLERANCE_SHARE * h
+        if h <= 2 * TIME_TOLERANCE_ULPS * spacing:
             raise SimulationError(
                 self.name,
                 t,
@@ -181,7 +184,7 @@ class ModelExchange(Instance):
             target = end
             if event is not None and at_event:  # includes an event within rounding of the target
                 target = event if event < end - close else max(event, end)
-            state_event, step_event = self._integrate(target, ULPS * spacing)
+            state_event, step_event = self._integrate(target, TIME_TOLERANCE_ULPS * spacing)
             if state_event or step_event or at_event:
                 self.cause = (
                     "state" if state_event else "step" if self.reached < target else "time" if at_event else "step"
@@ -244,11 +247,11 @@ class ModelExchange(Instance):
             reached, length = (float(time), self.save_state()[1]), self.solver.last_step
             ends = self._indicators(*reached)
             if is_first:
-                ahead = self._ahead(saved, slopes, STRAIGHT * length)
+                ahead = self._ahead(saved, slopes, STRAIGHT_SHARE * length)
                 hidden = {k for k in range(len(ends)) if _is_hidden(begins[k], ahead[k], ends[k], was=k in hidden)}
             if event:
                 self._place(*reached)
-                ahead = self._ahead(reached, self._rates(), STRAIGHT * length)
+                ahead = self._ahead(reached, self._rates(), STRAIGHT_SHARE * length)
                 ways = [root * (z - end) for root, z, end in zip(roots, ahead, ends, strict=True)]
                 false = {k for k, way in enumerate(ways) if way < 0.0 or (k in false and roots[k] and way == 0.0)}
             if not (hidden or (event and false)):
@@ -257,21 +260,21 @@ class ModelExchange(Instance):
                     self._note_crossings(roots, reached[0], spacing)
                 return bool(event), reached[0]
             self._place(*saved)
-            if SHORTENED * length <= SEPARABLE * spacing:
+            if RETRY_STEP_SHARE * length <= MIN_EVENT_SPACINGS * spacing:
                 fields = {"span": length, "number": min(hidden | false) + 1}
                 raise SimulationError(self.name, self.reached, EVENTS_NOT_SEPARATED.format(**fields))
             self._shortened += 1
-            self.solver.reset(self.reached, SHORTENED * length)
+            self.solver.reset(self.reached, RETRY_STEP_SHARE * length)
 
     def _note_crossings(self, roots: Sequence[int], time: float, spacing: float) -> None:
         """Record the time of crossings; raise SimulationError if they accumulate faster than the solver resolves."""
         for crossing in ((k, root) for k, root in enumerate(roots) if root):
-            last = self._crossings.setdefault(crossing, deque(maxlen=EVER_FASTER + 1))
+            last = self._crossings.setdefault(crossing, deque(maxlen=SHRINKING_SPANS + 1))
             last.append((time, self._shortened))
             spans = [b[0] - a[0] for a, b in pairwise(last)]
-            if len(spans) < EVER_FASTER or any(b >= a for a, b in pairwise(spans)):
+            if len(spans) < SHRINKING_SPANS or any(b >= a for a, b in pairwise(spans)):
                 continue
-            if spans[0] <= SEPARABLE * spacing or all(b[1] > a[1] for a, b in pairwise(last)):
+            if spans[0] <= MIN_EVENT_SPACINGS * spacing or all(b[1] > a[1] for a, b in pairwise(last)):
                 fault = EVENTS_NOT_SEPARATED.format(span=spans[-1], number=crossing[0] + 1)
                 raise SimulationError(self.name, self.reached, fault)
 
@@ -318,8 +321,9 @@ class ModelExchange(Instance):
         cause, self.cause = self.cause, ""
         self.event_counts[cause] += 1
         self._events.append(self.reached)
-        if len(self._events) == self._events.maxlen and self._events[-1] - self._events[0] <= AT_ONCE * h:
-            fault = f"it chatters: {len(self._events)} events within {AT_ONCE * h:.2g} s, so it does not advance"
+        if len(self._events) == self._events.maxlen and self._events[-1] - self._events[0] <= CHATTERING_SHARE * h:
+            span = f"{CHATTERING_SHARE * h:.2g} s"
+            fault = f"it chatters: {len(self._events)} events within {span}, so that time stands still"
             raise SimulationError(self.name, self.reached, fault)
         before = self._point() if cause == "step" else None
         self.event()

@@ -26,12 +26,12 @@ from cosim.core.errors import FmuError
 from cosim.core.messages import CheckNote, CheckWarning
 from cosim.files.archive import DAMAGES, DESCRIPTION
 
-HEAD = b"\x7fELF\x02\x01"
+ELF_MAGIC = b"\x7fELF\x02\x01"
 DYNAMIC, DYNAMIC_SYMBOLS = 6, 11  # types of sections
 NEEDED, SONAME = 1, 14  # tags of the dynamic section
 UNIQUE, EXPORTED = 10, (1, 2, 10)  # bindings of symbols: global, weak, unique
 VISIBLE = (0, 3)  # default, protected
-SYMBOL = np.dtype(
+ELF_SYMBOL = np.dtype(
     [("name", "<u4"), ("info", "u1"), ("other", "u1"), ("section", "<u2"), ("value", "<u8"), ("size", "<u8")]
 )
 
@@ -54,8 +54,8 @@ class ElfLibrary:
 
 
 def read_elf(content: bytes, *, symbols: bool = True) -> ElfLibrary:
-    """Return the names and, if requested, symbols of a Linux library; empty for any other or damaged file."""
-    if content.startswith(HEAD):
+    """Return the names of a library, if asked with its symbols; none for another kind of file and a damaged one."""
+    if content.startswith(ELF_MAGIC):
         with suppress(struct.error, ValueError, IndexError, OverflowError):
             return _read(content, symbols)
     return ElfLibrary()
@@ -80,7 +80,7 @@ def _read(content: bytes, with_symbols: bool) -> ElfLibrary:
                     elf.soname = text(strings + value)
         elif kind == DYNAMIC_SYMBOLS and with_symbols:
             strings = sections[link][4]
-            symbols = np.frombuffer(content, SYMBOL, length // SYMBOL.itemsize, offset)
+            symbols = np.frombuffer(content, ELF_SYMBOL, length // ELF_SYMBOL.itemsize, offset)
             binding, is_visible = symbols["info"] >> 4, np.isin(symbols["other"] & 3, VISIBLE)
             is_defined = (symbols["section"] != 0) & (symbols["size"] > 0) & is_visible & np.isin(binding, EXPORTED)
             elf.defined |= {text(strings + name) for name in symbols["name"][is_defined].tolist()}
@@ -88,19 +88,20 @@ def _read(content: bytes, with_symbols: bool) -> ElfLibrary:
     return elf
 
 
-# for FMI 1.0, 2.0 and 3.0: suffixes of this system's libraries, and words in the names of their folders
-ENDING, WORDS = {"Windows": (r"\.dll", ("win", "windows")), "Darwin": (r"\.dylib|\.so", ("darwin",))}.get(
-    platform.system(), (r"\.so(\.\d+)*", ("linux",))
-)
-LIBRARY = re.compile(rf".*({ENDING})", re.IGNORECASE)
+# files of this system's libraries, and words in their folders, of FMI 1.0, 2.0 and 3.0
+LIBRARY_ENDING, PLATFORM_WORDS = {
+    "Windows": (r"\.dll", ("win", "windows")),
+    "Darwin": (r"\.dylib|\.so", ("darwin",)),
+}.get(platform.system(), (r"\.so(\.\d+)*", ("linux",)))
+LIBRARY = re.compile(rf".*({LIBRARY_ENDING})", re.IGNORECASE)
 PLATFORM = re.compile(r"(?:^|/)binaries/([^/]+)/")
-RESOURCES = re.compile(r"(?:resources/original/)*resources/(?P<name>(?P<top>[^/.]+)[^/]*(?P<rest>/.*)?)")
+RESOURCE_FILE = re.compile(r"(?:resources/original/)*resources/(?P<name>(?P<top>[^/.]+)[^/]*(?P<rest>/.*)?)")
 IDENTIFIER = re.compile(rb'modelIdentifier\s*=\s*"([^"]*)"')
-CODE = (".py", ".pyc", ".pyd", ".so")
-NAME_OF_SLAVE = "slavemodule.txt"  # file of pythonfmu with the name of the slave's module
-OF_STD = re.compile(r"_Z(G[VR]|T[ISVT])?[ZNK]*S[tabsiod]")  # symbols of the C++ standard library, equal in all builds
-OF_SYSTEM = re.compile(r"(lib(c|m|dl|pthread|rt|gcc_s|stdc\+\+|atomic)|ld-linux[\w-]*)\.so")  # have no data of FMUs
-VERSION = ("fmi2GetVersion", "fmi3GetVersion", "fmiGetVersion")  # function that every FMU library exports
+CODE_ENDINGS = (".py", ".pyc", ".pyd", ".so")
+NAME_OF_SLAVE = "slavemodule.txt"  # of pythonfmu, no data of a module
+OF_STD = re.compile(r"_Z(G[VR]|T[ISVT])?[ZNK]*S[tabsiod]")  # symbols of the C++ library, equal in all of its builds
+OF_SYSTEM = re.compile(r"(lib(c|m|dl|pthread|rt|gcc_s|stdc\+\+|atomic)|ld-linux[\w-]*)\.so")  # without data of FMUs
+VERSION_FUNCTIONS = ("fmi2GetVersion", "fmi3GetVersion", "fmiGetVersion")  # which the library of an FMU exports
 ALLOCATORS = {"malloc", "calloc", "realloc", "free"}
 
 
@@ -150,10 +151,10 @@ def _code_of(path: Path, _changed: int, _size: int) -> Code:
     with zipfile.ZipFile(path) as archive:
         files = [info for info in archive.infolist() if not info.is_dir()]
         own = {name.decode() for name in IDENTIFIER.findall(archive.read(DESCRIPTION))}
-        versions = {*VERSION, *(f"{identifier}_fmiGetVersion" for identifier in own)}
+        versions = {*VERSION_FUNCTIONS, *(f"{identifier}_fmiGetVersion" for identifier in own)}
         for info in files:
             folder = PLATFORM.findall(info.filename)
-            is_of_here = not folder or any(word in folder[-1] for word in WORDS)
+            is_of_here = not folder or any(word in folder[-1] for word in PLATFORM_WORDS)
             if not (is_of_here and LIBRARY.fullmatch(info.filename)):
                 continue
             name, digest = PurePosixPath(info.filename).name, _digest(info)
@@ -182,9 +183,9 @@ def _modules(files: Iterable[tuple[str, str]]) -> dict[str, str]:
     """Return Python module → digest of its files and of the data beside it, for the modules in the resources."""
     parts: dict[str, list[tuple[str, str]]] = {}
     for name, digest in files:
-        if (match := RESOURCES.fullmatch(name)) and match["name"] != NAME_OF_SLAVE:
+        if (match := RESOURCE_FILE.fullmatch(name)) and match["name"] != NAME_OF_SLAVE:
             parts.setdefault(match["top"], []).append((match["name"], digest))
-    modules = {top: part for top, part in parts.items() if any(n.endswith(CODE) for n, _ in part)}
+    modules = {top: part for top, part in parts.items() if any(n.endswith(CODE_ENDINGS) for n, _ in part)}
     data = [entry for top, part in parts.items() if top not in modules for entry in part]
     if not any(n.endswith(".py") for part in modules.values() for n, _ in part):
         return {}

@@ -11,6 +11,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, Literal
 
+from cosim.blocks.instance import DISCARD
 from cosim.fmi.native.compiler import CompilerFailed, NoCompiler, load_library
 
 NO_STEP_WITHIN_TOLERANCE = (
@@ -21,12 +22,11 @@ TOO_MANY_SOLVER_STEPS = (
     "shorten the step{other}, or check whether a state grows without bound"
 )
 
-DISCARD = 2
 DOUBLES = ctypes.POINTER(ctypes.c_double)
 Solver = Literal["cvode", "solve_ivp"]
-REFUSALS = 10  # number of discarded derivative evaluations after which a solver counts as stuck
-MAX_STEPS = 500  # steps of CVODE between communication points and events, as in FMPy
-NORMAL, TOO_MUCH_WORK, ROOT_RETURN = 1, -1, 2  # CVODE's task, and two of its return values
+REFUSALS = 10  # discarded derivatives that explain a stuck solver
+MAX_CVODE_STEPS = 500  # of CVODE between communication points and events, as in FMPy
+NORMAL, TOO_MUCH_WORK, ROOT_RETURN = 1, -1, 2  # task and return values of CVODE
 FAILURES = {  # CVODE's error codes with remedies
     -2: "the tolerance of CVODE is finer than the resolution of doubles; use a larger tolerance",
     -3: NO_STEP_WITHIN_TOLERANCE.format(solver="CVODE"),
@@ -148,7 +148,7 @@ def cvode(
     from fmpy.sundials.nvector_serial import _N_VectorContent_Serial
 
     compiled = CompiledRates.of(fmu, states, _N_VectorContent_Serial.data.offset, start, symbol)
-    most = MAX_STEPS if max_steps is None else max_steps
+    most = MAX_CVODE_STEPS if max_steps is None else max_steps
 
     class Guarded(CVodeSolver):  # type: ignore[misc]
         is_first, goal, steps = True, math.nan, 0  # of a reset; last target; single steps towards it

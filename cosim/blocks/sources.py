@@ -24,8 +24,8 @@ from cosim.core.times import rounding, roundings
 from cosim.core.units import computed_in
 from cosim.files.table import Table, read_columns, source_of
 
-TEXTS = {"String", "Binary"}
-WHOLE = re.compile(r"[-+]?\d+")
+TEXT_TYPES = {"String", "Binary"}
+INTEGER_PATTERN = re.compile(r"[-+]?\d+")
 
 
 class SourceBlock(Component):
@@ -173,14 +173,14 @@ def read_recording(
             if column.name in exact and not column.fault:
                 values = column.values.tolist() if isinstance(column.values, np.ndarray) else column.values
                 with suppress(ValueError):
-                    is_text = exact[column.name] in TEXTS
+                    is_text = exact[column.name] in TEXT_TYPES
                     columns[column.name] = [str(value) if is_text else _whole_number(value) for value in values]
     return read_columns(path, names, columns), columns
 
 
 def _whole_number(value: Any) -> int:
-    """Return the integer that a value or text represents exactly; raise ValueError for other values."""
-    if isinstance(value, int) or (isinstance(value, str) and WHOLE.fullmatch(value.strip())):
+    """Return an exact whole number; raise ValueError for anything else."""
+    if isinstance(value, int) or (isinstance(value, str) and INTEGER_PATTERN.fullmatch(value.strip())):
         return int(value)
     if not (number := float(value)).is_integer():
         raise ValueError

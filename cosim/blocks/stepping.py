@@ -27,9 +27,10 @@ C_TYPES = {
     "size": ctypes.c_size_t,
     "pointer": c_void_p,
 }
-NAMES = ("double", "float", "int8", "uint8", "int16", "uint16", "int32", "uint32", "int64", "bool")
-TYPES = {getattr(ctypes, f"c_{name}"): number for number, name in enumerate(NAMES)}  # numbering of stepping.c
-BITS64, TEXT = len(NAMES), len(NAMES) + 1  # types of values that doubles cannot represent exactly
+C_TYPE_NAMES = ("double", "float", "int8", "uint8", "int16", "uint16", "int32", "uint32", "int64", "bool")
+# as stepping.c numbers them
+C_TYPE_NUMBERS = {getattr(ctypes, f"c_{name}"): number for number, name in enumerate(C_TYPE_NAMES)}
+BITS64, TEXT_CELL = len(C_TYPE_NAMES), len(C_TYPE_NAMES) + 1  # of values that no double holds
 
 
 class StopReason(IntEnum):
@@ -170,9 +171,9 @@ def move(function: Any, exchange: Exchange, row: Row, cells: ctypes.Array[Cell])
     kind, start, cell = exchange.kind, exchange.places.start, None
     references, count, values, scalars = exchange.arguments
     pointer, finite = ctypes.cast(function, c_void_p), exchange.finite
-    place, number = ctypes.addressof(row) + 8 * start, TYPES.get(kind.ctype, BITS64)
+    place, number = ctypes.addressof(row) + 8 * start, C_TYPE_NUMBERS.get(kind.ctype, BITS64)
     if kind.beside:
-        place, cell, number = 0, ctypes.addressof(cells[start]), BITS64 if kind.is_whole else TEXT
+        place, cell, number = 0, ctypes.addressof(cells[start]), BITS64 if kind.is_whole else TEXT_CELL
     return Move(pointer, references, count, scalars, values, place, kind.low, kind.high, cell, finite, number)
 
 

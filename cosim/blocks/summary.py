@@ -13,7 +13,7 @@ from cosim.core.errors import Fault, FmuError, InputError, refuse
 from cosim.files.artefact import FMU
 from cosim.files.kinds import check_given
 from cosim.fmi.description import (
-    PARTS,
+    INTERFACE_ATTRIBUTES,
     display_unit_of,
     platform_of,
     platforms_among,
@@ -112,7 +112,7 @@ def summary_of(path: Path, description: Any) -> Summary:
     """Return the summary of an FMU from its path and FMPy's model description."""
     platforms = platforms_of(path)
     capabilities: dict[str, dict[str, Any]] = {}
-    for way, attribute in PARTS.items():
+    for way, attribute in INTERFACE_ATTRIBUTES.items():
         if (part := getattr(description, attribute, None)) is not None:
             values = {field.name: getattr(part, field.name) for field in type(part).__attrs_attrs__}
             is_set = {name: value for name, value in values.items() if value and isinstance(value, (bool, int, float))}

@@ -18,14 +18,14 @@ from cosim.logs.log import noise_level
 from cosim.residuals.residual_statistics import rmse
 from cosim.residuals.windows import horizons
 
-DRIFTS = 5.0  # ratio of errors, free runs to windows, after the fit, above which free runs are useless
+DRIFTING_ERROR_RATIO = 5.0  # ratio of errors, free runs to windows, after the fit, above which free runs are useless
 # effect of a start value in the last quarter of a log relative to its largest effect, above which it does not fade
-STAYS = 0.2
-GROWS = 1e3  # effect of a start value in the last quarter relative to the first, above which the plant is unstable
-REFINEMENTS = 3  # number of times that central differences may move the estimate
-CLOSE = 0.05  # gain in log-likelihood of a third of a standard error, below which slopes are not recomputed
-ABOVE = 1.5  # standard deviation of a residual relative to its white part, above which the model is incomplete
-COLOURED = 2.0  # variance of the mean of a residual relative to white noise, above which it is not white
+MIN_LASTING_EFFECT = 0.2
+UNSTABLE_GROWTH = 1e3  # effect of a start value in the last quarter relative to the first in an unstable plant
+MAX_REFINEMENTS = 3  # number of times that central differences may move the estimate
+NEGLIGIBLE_GAIN = 0.05  # gain in log-likelihood of a third of a standard error, below which slopes are not recomputed
+INCOMPLETE_RATIO = 1.5  # of the standard deviation of a residual to its white part, from which a model is incomplete
+MAX_WHITE_RATIO = 2.0  # variance of the mean of a residual relative to white noise, above which it is not white
 NAMED_REASONS = 3
 Report = Callable[[str, float], None]
 
@@ -144,12 +144,12 @@ class Estimate:
             self.held |= {u.name: u for u in likelihood.unknowns if u.name == combination.held}
             likelihood = likelihood.restricted(~is_held)
         self.likelihood = likelihood
-        if self.logs.horizon is None and self.has_windows and self._start_effects(likelihood)[0] > GROWS:
+        if self.logs.horizon is None and self.has_windows and self._start_effects(likelihood)[0] > UNSTABLE_GROWTH:
             return likelihood  # the plant is unstable: windows are used next
-        for number in range(REFINEMENTS):
+        for number in range(MAX_REFINEMENTS):
             before = likelihood.best.cost
             self.settled = likelihood.maximize(lambda k: self.report(f"fitting, iteration {k + 1}", 0.0))
-            if number and before - likelihood.best.cost < CLOSE:
+            if number and before - likelihood.best.cost < NEGLIGIBLE_GAIN:
                 break
             self.report("measuring sensitivities", 0.0)
             likelihood.slopes = likelihood.measure_slopes(central=True)
@@ -162,7 +162,10 @@ class Estimate:
         point, names = self.likelihood.best, []
         for c, name in enumerate(self.logs.channels):
             levels = [noise_level(t[:, c]) for t in point.tables if np.isfinite(t[:, c]).any()]
-            if point.sigma[c] > ABOVE * float(np.nanmedian(levels)) and self.covariance.colour[c] > COLOURED:
+            if (
+                point.sigma[c] > INCOMPLETE_RATIO * float(np.nanmedian(levels))
+                and self.covariance.colour[c] > MAX_WHITE_RATIO
+            ):
                 names.append(name)
         return names
 
@@ -178,13 +181,13 @@ class Estimate:
                 parts = np.array_split(likelihood.slopes[unknown.log][..., j] / likelihood.best.sigma, 4)
                 first, *_, last = sizes = [rmse(part) if np.isfinite(part).any() else 0.0 for part in parts]
                 growth = max(growth, last / first if first > 0.0 else 0.0)
-                stays = stays or last > STAYS * max(sizes)
+                stays = stays or last > MIN_LASTING_EFFECT * max(sizes)
         return growth, stays
 
     def _why_windows(self, likelihood: Likelihood) -> str:
         """Return the reason why free runs are useless, or ""."""
         growth, stays = self._start_effects(likelihood)
-        if growth > GROWS:
+        if growth > UNSTABLE_GROWTH:
             return (
                 f"the plant is unstable: a small change of the start value grows by a factor of {growth:.0e} over a log"
             )
@@ -206,7 +209,7 @@ class Estimate:
             before = np.mean([squares(k, first) for k in places], axis=0)
             ratio = np.nan_to_num(point.sigma / np.sqrt(np.fmin(after, before)))
         worst = int(np.argmax(ratio))
-        if not ratio[worst] > DRIFTS:
+        if not ratio[worst] > DRIFTING_ERROR_RATIO:
             return ""
         return (
             f"the effect of the start value does not fade, and even after a fit, the error of {logs.channels[worst]} "

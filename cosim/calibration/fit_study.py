@@ -22,6 +22,7 @@ from cosim.files.kinds import check_given
 from cosim.files.kinds import kind_of as kind_of_file
 from cosim.files.yaml_file import YamlFile, short
 from cosim.fmi.description import read_description, unit_of
+from cosim.fmi.fmi_types import FLOAT_TYPES
 from cosim.isolation.limits import Limits, read_limits
 from cosim.logs.log import NORMAL_95, Log, read_column_names
 from cosim.probing.prober import limits_of
@@ -31,9 +32,8 @@ from cosim.scenario.start_values import convert_value, settable
 
 NOT_VARIED = '--vary "{text}" must have the form NAME, NAME=20% or NAME=LOW..HIGH, such as mass=0.3..2'
 
-REALS = {"Real", "Float64", "Float32"}
 FREE = {"", "free", "null"}  # values of NAME=… that are equivalent to NAME alone
-MOST_NAMES = 8  # names in a message
+MAX_OFFERED_NAMES = 8  # names in a message
 
 
 class FitStudyFile(BaseModel):
@@ -259,7 +259,7 @@ def _parameters(request: Request, description: Any, given: Mapping[str, Any]) ->
     for v in description.modelVariables:
         is_parameter = "parameter" in (v.causality, v.variability)  # in FMI 1.0
         is_state = v.causality in {"local", "internal", "output", None}
-        if v.type in REALS and not v.shape and v.start is not None and settable(v) and (is_parameter or is_state):
+        if v.type in FLOAT_TYPES and not v.shape and v.start is not None and settable(v) and (is_parameter or is_state):
             first = float(given.get(v.name, v.start))
             starts = not is_parameter or v.name.removesuffix("_start") in names - {v.name}
             offered[v.name] = Parameter(v.name, unit_of(v), first, *limits_of(v), is_start=starts, per_log=starts)
@@ -293,7 +293,7 @@ def _named(request: Request, key: str, description: Any, offered: Mapping[str, P
             if not name:
                 raise ValueError(NOT_VARIED.format(text=short(text)))
             if name not in offered:
-                names = [n for n, p in offered.items() if not p.is_start][:MOST_NAMES]
+                names = [n for n, p in offered.items() if not p.is_start][:MAX_OFFERED_NAMES]
                 cure = f"name a floating-point parameter, or the start value of a state ({', '.join(names) or 'none'})"
                 raise ValueError(f"{name} cannot be estimated{did_you_mean(name, offered)}; {cure}")
             if name in chosen:

@@ -18,16 +18,16 @@ from cosim.estimation.fit import inverse as scaled_inverse
 from cosim.logs.log import NORMAL_95
 from cosim.residuals.residual_statistics import finite
 
-CHANGES = (0.01, 0.1)  # relative steps of a screened parameter
-NO_EFFECT = 1e-9  # change of every output, relative to its standard deviation, below which it is rounding
-RESOLUTION = 5e-3  # minimum noise level for a choice, relative to the standard deviation: models are not perfect
-WIDEST = 0.5  # largest half-width of the expected interval of a parameter to estimate, relative to its value
-APART = 0.03  # share of a sensitivity not reproduced by other parameters; differences are accurate to a third
-SUSPECT = 0.02  # singular value relative to the largest, below which a combination is tried
-MOVE = 0.1  # relative step of a combination that is tried
-INVISIBLE = 0.01  # change of the outputs relative to that by one parameter alone
-TAKES_PART = 0.2  # component of a direction relative to the largest
-SIGNS = {"ratio": " / ", "product": " · ", "sum": " + ", "difference": " − "}
+SCREENING_STEPS = (0.01, 0.1)  # relative steps of a screened parameter
+ROUNDING_CHANGE = 1e-9  # change of every output, relative to its standard deviation, below which it is rounding
+MIN_NOISE_LEVEL = 5e-3  # minimum noise level for a choice, relative to the standard deviation: models are not perfect
+MAX_HALF_WIDTH = 0.5  # largest half-width of the expected interval of a parameter to estimate, relative to its value
+MIN_OWN_SHARE = 0.03  # share of a sensitivity not reproduced by other parameters; differences are accurate to a third
+SUSPECT_SINGULAR_VALUE = 0.02  # singular value relative to the largest, below which a combination is tried
+TRIED_STEP = 0.1  # relative step of a combination that is tried
+MAX_INVISIBLE_CHANGE = 0.01  # change of the outputs relative to that by one parameter alone
+MIN_COMPONENT = 0.2  # component of a direction relative to the largest
+COMBINATION_SIGNS = {"ratio": " / ", "product": " · ", "sum": " + ", "difference": " − "}
 
 
 def screen(likelihood: Likelihood) -> tuple[list[ChoiceEntry], Flags]:
@@ -38,7 +38,7 @@ def screen(likelihood: Likelihood) -> tuple[list[ChoiceEntry], Flags]:
     sensitivities: the next one is least reproducible by those already chosen.
     """
     logs, good = likelihood.logs, [np.isfinite(t) for t in likelihood.best.tables]
-    sigma = np.maximum(logs.noise, RESOLUTION * logs.spread)  # the sensor noise, or the resolution of models
+    sigma = np.maximum(logs.noise, MIN_NOISE_LEVEL * logs.spread)  # the sensor noise, or the resolution of models
     shares = np.concatenate([np.broadcast_to(sigma / logs.spread, g.shape)[g] for g in good])
 
     def changed(j: int, change: float) -> Array | None:
@@ -54,22 +54,24 @@ def screen(likelihood: Likelihood) -> tuple[list[ChoiceEntry], Flags]:
     columns, nuisance = list[Array](), list[Array]()
     for j, unknown in enumerate(likelihood.unknowns):
         if unknown.log is not None:
-            if (moved := changed(j, CHANGES[0])) is not None:
+            if (moved := changed(j, SCREENING_STEPS[0])) is not None:
                 nuisance.append(moved)
             continue
-        tried = {c: moved for c in CHANGES if (moved := changed(j, c)) is not None}
+        tried = {c: moved for c in SCREENING_STEPS if (moved := changed(j, c)) is not None}
         largest = max((np.nanmax(np.abs(moved) * shares, initial=0.0) for moved in tried.values()), default=0.0)
         names.append(unknown.name)
         columns.append(next((moved / change for change, moved in tried.items()), np.zeros(shares.size)))
-        effects.append(float(np.linalg.norm(tried[CHANGES[1]])) if CHANGES[1] in tried else math.nan)
-        reasons.append("" if largest > NO_EFFECT else "no effect on any measured output")
+        effects.append(float(np.linalg.norm(tried[SCREENING_STEPS[1]])) if SCREENING_STEPS[1] in tried else math.nan)
+        reasons.append("" if largest > ROUNDING_CHANGE else "no effect on any measured output")
     matrix = np.column_stack(columns)
     starts = np.column_stack(nuisance) if nuisance else np.zeros((matrix.shape[0], 0))
     sizes, matrix = np.linalg.norm(matrix, axis=0), _without(matrix, starts)
-    chosen, rest, least = list[int](), matrix.copy(), 1.96 / WIDEST
+    chosen, rest, least = list[int](), matrix.copy(), 1.96 / MAX_HALF_WIDTH
     while True:  # pivoted QR
         left = np.linalg.norm(rest, axis=0)
-        fits = [i for i, r in enumerate(reasons) if not r and left[i] >= max(least, APART * max(sizes[i], 1e-300))]
+        fits = [
+            i for i, r in enumerate(reasons) if not r and left[i] >= max(least, MIN_OWN_SHARE * max(sizes[i], 1e-300))
+        ]
         if not fits:
             break
         best = max(fits, key=lambda i: (round(math.log10(left[i]), 3), -i))
@@ -147,10 +149,10 @@ def find_combination(likelihood: Likelihood) -> tuple[CombinationEntry | None, A
     parameters, lengths = np.flatnonzero(shared), np.linalg.norm(matrix, axis=0)
     _, values, directions = np.linalg.svd(matrix, full_matrices=False)
     for k in np.argsort(values, kind="stable").tolist():
-        if values[k] > SUSPECT * values[0]:
+        if values[k] > SUSPECT_SINGULAR_VALUE * values[0]:
             break
         direction = directions[k] / np.max(np.abs(directions[k]))
-        parts = np.flatnonzero(np.abs(direction) > TAKES_PART)
+        parts = np.flatnonzero(np.abs(direction) > MIN_COMPONENT)
         places, direction = parameters[parts], direction[parts]
         if len(parts) == 1 or (likelihood.precision[places] > 0.0).any():
             continue  # too weak alone, as its interval shows, or determined by the prior
@@ -159,14 +161,14 @@ def find_combination(likelihood: Likelihood) -> tuple[CombinationEntry | None, A
         pairs = [(each, np.rint(each)) for each in relative]
         powers, shares = (np.where(np.abs(each - whole) < 0.05 * np.abs(whole), whole, each) for each, whole in pairs)
         x = point.x[places]
-        moves = [(form(powers, "ratio", "product"), x * np.exp(MOVE * powers) - x)] if np.all(x != 0.0) else []
+        moves = [(form(powers, "ratio", "product"), x * np.exp(TRIED_STEP * powers) - x)] if np.all(x != 0.0) else []
         size = float(np.min(np.abs(x[np.abs(shares) > 0.0]), initial=math.inf)) or float(np.min(scales[places]))
-        moves.append((form(shares, "difference", "sum"), MOVE * size * shares))
-        largest = INVISIBLE * MOVE * float(np.max(lengths[parts]))
+        moves.append((form(shares, "difference", "sum"), TRIED_STEP * size * shares))
+        largest = MAX_INVISIBLE_CHANGE * TRIED_STEP * float(np.max(lengths[parts]))
         for name, move in sorted(moves, key=lambda pair: pair[0] == "combination"):  # forms with a name are preferred
             if min(visible(places, move), visible(places, -move)) <= largest:
                 names = [likelihood.unknowns[j].name for j in places.tolist()]
-                expression = SIGNS.get(name, ", ").join(names)
+                expression = COMBINATION_SIGNS.get(name, ", ").join(names)
                 return CombinationEntry(names=names, held=names[-1], form=name, expression=expression), values
     return None, values
 
@@ -183,12 +185,12 @@ def find_combination(likelihood: Likelihood) -> tuple[CombinationEntry | None, A
 
 
 MOST_LAGS = 30  # largest order of an autoregression
-FEW = 8  # values for each lag
-MANY = 50.0  # independent residuals per unknown, above which Student's factor is accurate
-DRAWS, SEED = 99, 1  # repetitions of the bootstrap for few residuals
-SETTLING = 20  # initial transient of repeated residuals, as a multiple of the largest order
-DOUBLINGS = 6  # of the distance from the estimate at which the end of a profile is searched
-NEAR_END = 0.005  # tolerance of the end of a profile's interval, in half-widths
+VALUES_PER_LAG = 8  # values for each lag
+MANY_RESIDUALS = 50.0  # independent residuals per unknown, above which Student's factor is accurate
+REPEATED_DRAWS, DRAWS_SEED = 99, 1  # repetitions of the bootstrap for few residuals
+SETTLING_ORDERS = 20  # initial transient of repeated residuals, as a multiple of the largest order
+PROFILE_DOUBLINGS = 6  # of the distance from the estimate at which the end of a profile is searched
+PROFILE_END_TOLERANCE = 0.005  # tolerance of the end of a profile's interval, in half-widths
 
 
 @dataclass(frozen=True, eq=False)
@@ -256,14 +258,14 @@ def covariance(likelihood: Likelihood) -> Covariance:
     colour, white = np.array([m.colour for m in models]), np.sqrt(np.maximum(0.0, np.diag(inverse)))
     freedom = max(1.0, float(np.sum(point.counts / np.maximum(1.0, colour))) - unknowns)
     factors, roots = np.full(unknowns, float(stdtrit(freedom, 0.975))), np.sqrt(np.maximum(0.0, np.diag(matrix)))
-    if freedom >= MANY * unknowns:
+    if freedom >= MANY_RESIDUALS * unknowns:
         return Covariance(matrix, factors * roots, white, colour)
     # In each repetition the autoregressions generate new residuals. The linearized estimate and its standard deviation
     # are computed from them as from the log (bootstrap-t). This accounts for the slow residuals that the parameters
     # absorb, and for the uncertain autoregressions.
-    rng, ratios = np.random.default_rng(SEED), []
-    settling = SETTLING * MOST_LAGS
-    for _ in range(DRAWS):
+    rng, ratios = np.random.default_rng(DRAWS_SEED), []
+    settling = SETTLING_ORDERS * MOST_LAGS
+    for _ in range(REPEATED_DRAWS):
         drawn = []
         for table in point.tables:
             noise = rng.standard_normal((table.shape[0] + settling, root.shape[0])) @ root.T
@@ -313,12 +315,12 @@ def profile(likelihood: Likelihood, spread: Covariance, j: int) -> ProfileEntry 
     def end(side: float) -> float | None:
         """Return the end of the interval below or above the estimate; None if the deviance stays small before it."""
         inside = centre
-        for step in 0.6 * half * 2.0 ** np.arange(DOUBLINGS):
+        for step in 0.6 * half * 2.0 ** np.arange(PROFILE_DOUBLINGS):
             outside = min(max(centre + side * float(step), float(likelihood.low[j])), float(likelihood.high[j]))
             if excess(outside) >= 0.0:
                 if not math.isfinite(excess(outside)):
                     return None
-                return float(brentq(excess, inside, outside, xtol=NEAR_END * half))
+                return float(brentq(excess, inside, outside, xtol=PROFILE_END_TOLERANCE * half))
             if outside == inside:
                 return None
             inside = outside
@@ -342,7 +344,7 @@ def _autoregression(parts: Sequence[Array]) -> Autoregression:
     if square <= 0.0:
         return best
     forward, backward, variance, least = list(parts), list(parts), square, count * math.log(square)
-    for order in range(1, min(MOST_LAGS, count // FEW) + 1):
+    for order in range(1, min(MOST_LAGS, count // VALUES_PER_LAG) + 1):
         forward, backward = [f[1:] for f in forward], [b[:-1] for b in backward]
         products = [(float(f @ b), float(f @ f + b @ b)) for f, b in zip(forward, backward, strict=True)]
         size = sum(size for _, size in products)

@@ -23,12 +23,12 @@ from cosim.core.errors import SimulationError
 from cosim.residuals.drive import Drive, as_columns
 from cosim.residuals.windows import first_start, free_run, self_started, sigma_of, start_parameters
 
-SMALLEST = 1e-8  # minimum standard deviation of a residual, relative to that of its channel
-STEP = 1e-2  # step of differences, relative to the scale of an unknown, above the rounding of solvers
-ITERATIONS = 40
+MIN_NOISE_RATIO = 1e-8  # minimum standard deviation of a residual, relative to that of its channel
+UNKNOWN_STEP = 1e-2  # step of differences, relative to the scale of an unknown, above the rounding of solvers
+MAX_EVALUATIONS = 40
 # gain of a step in log-likelihood, corresponding to one standard error, after which the next step is negligible
-SETTLED = 0.5
-SHORTEST = 1e-4  # step size without expected gain, relative to the size of the unknowns
+SETTLED_GAIN = 0.5
+MIN_RELATIVE_STEP = 1e-4  # step size without expected gain, relative to the size of the unknowns
 Jacobian = list[Array]  # per log: array (rows, channels, unknowns); NaN where the residual is NaN
 
 
@@ -165,7 +165,7 @@ class Likelihood:
             return None
         counts = np.asarray(sum(np.isfinite(t).sum(axis=0) for t in tables), float)
         squares = sum(np.nansum(t * t, axis=0) for t in tables)
-        sigma = np.maximum(np.sqrt(squares / np.maximum(counts, 1)), SMALLEST * self.logs.spread)
+        sigma = np.maximum(np.sqrt(squares / np.maximum(counts, 1)), MIN_NOISE_RATIO * self.logs.spread)
         cost = float(counts @ np.log(sigma)) + 0.5 * float(self.precision @ (x - self.prior) ** 2)
         point = Point(x, tables, counts, sigma, cost)
         if not np.isfinite(point.cost):
@@ -206,7 +206,7 @@ class Likelihood:
 
     def _slope(self, j: int, k: int, *, central: bool) -> Array | None:
         """Return the slope of log k's residuals by unknown j; None if the FMU fails on both sides."""
-        size, sides = STEP * self.scales[j], []
+        size, sides = UNKNOWN_STEP * self.scales[j], []
         for side in (size, -size):
             moved = self.best.x.copy()
             moved[j] += side
@@ -232,7 +232,7 @@ class Likelihood:
         scales, roots = np.maximum(self.scales, np.abs(begin.x)), np.sqrt(self.precision)
         low, high = (self.low - begin.x) / scales, (self.high - begin.x) / scales
         cells = sum(table.size for table in begin.tables)
-        least = (SMALLEST * self.logs.spread / begin.sigma) ** 2
+        least = (MIN_NOISE_RATIO * self.logs.spread / begin.sigma) ** 2
 
         def misses(x: Array) -> Array:
             """Return residuals in units of their initial standard deviations, and deviations from the priors."""
@@ -245,7 +245,7 @@ class Likelihood:
         def slopes(x: Array) -> Array:
             nonlocal before, latest
             report(next(iterations))
-            if before.cost - self.best.cost > SETTLED:
+            if before.cost - self.best.cost > SETTLED_GAIN:
                 latest = self.measure_slopes()
             before = self.best
             tables = [np.nan_to_num(slope / begin.sigma[:, None]).reshape(-1, x.size) for slope in latest]
@@ -262,6 +262,12 @@ class Likelihood:
         size = max(1.0, -0.5 * float(begin.counts @ np.log(least)))
         found = least_squares(
             *(misses, np.zeros(begin.x.size), slopes, (low, high), "dogbox"),
-            **{"loss": loss, "ftol": SETTLED / size, "xtol": SHORTEST, "gtol": None, "max_nfev": ITERATIONS},
+            **{
+                "loss": loss,
+                "ftol": SETTLED_GAIN / size,
+                "xtol": MIN_RELATIVE_STEP,
+                "gtol": None,
+                "max_nfev": MAX_EVALUATIONS,
+            },
         )
         return bool(found.status > 0)

@@ -37,7 +37,7 @@ from cosim.residuals.residual_statistics import FREE_RUN, finite, pool_errors, r
 from cosim.residuals.windows import SKIPPED, Replay, free_run, horizons, replays_over, self_started
 
 CLEAR = 0.95  # ratio of errors below which the model counts as improved
-MOST = 2  # outputs in a headline
+MAX_HEADLINE_OUTPUTS = 2  # outputs in a headline
 
 
 @dataclass(frozen=True, eq=False)
@@ -202,7 +202,7 @@ def _sentence(record: Record, parts: Sequence[Part]) -> str:
     where = counted(len(record.sealed), "sealed log") if part.sealed else "the logs of the estimate"
     error = f"error over {horizon_name(part.errors.horizon)}".replace("over free run", "of the free run")
     ratios = {n: c.after / c.before for n, c in part.errors.channels.items() if c.before and c.after}
-    worst_or_best = sorted(ratios, key=lambda n: ratios[n], reverse=record.verdict == "worse")[:MOST]
+    worst_or_best = sorted(ratios, key=lambda n: ratios[n], reverse=record.verdict == "worse")[:MAX_HEADLINE_OUTPUTS]
     chosen = {n: part.errors.channels[n] for n in worst_or_best}
     texts = [f"{n} from {size(c.before or 0.0, c.unit)} to {size(c.after or 0.0, c.unit)}" for n, c in chosen.items()]
     change = {"improved": "falls", "worse": "does not decrease"}.get(record.verdict, "hardly changes")

@@ -37,12 +37,12 @@ from cosim.isolation.process import Worker
 from cosim.logs.gate import gate, gate_faults
 from cosim.probing.places import probe_own_step
 from cosim.probing.prober import LIMITS
-from cosim.residuals.drive import MODULES, Drive, DriveApart, drive_in
+from cosim.residuals.drive import REPLAY_MODULES, Drive, DriveApart, drive_in
 from cosim.ssp.write import write_parameter_set
 from cosim.terms.code import TermCode
 
-EQUAL = 1e-9  # difference of outputs relative to their range
-FILES = ("fit.json", "fitted.ssv", "fitted.fmu", "report.html")
+EQUAL_OUTPUTS_SHARE = 1e-9  # difference of outputs relative to their range
+FIT_FILES = ("fit.json", "fitted.ssv", "fitted.fmu", "report.html")
 
 
 def fit(
@@ -117,11 +117,11 @@ def fit(
         display = display_units([described])
         stack.enter_context(showing({"display": display}))
         files = [*request.logs, path, *([request.yaml.path] if request.yaml else [])]
-        check_writable(place, FILES, files)
+        check_writable(place, FIT_FILES, files)
         progress("probing the FMU", 0.0)
         if not in_process:
             _refuse_own_step(request, given)
-        worker = None if in_process else stack.enter_context(Worker(*MODULES))
+        worker = None if in_process else stack.enter_context(Worker(*REPLAY_MODULES))
         inner = most.model_copy(update={"total": None, "step": most.step or most.total})
         load = partial(drive_in, worker, limits=inner, given=given.fixed)
         drives = [stack.enter_context(load(log, path)) for log in given.logs]
@@ -276,7 +276,7 @@ def deliver(
             continue
         except (SimulationError, FmuError):
             actual = np.full_like(wanted, np.nan)
-        if np.all(np.abs(actual - wanted) <= EQUAL * span):
+        if np.all(np.abs(actual - wanted) <= EQUAL_OUTPUTS_SHARE * span):
             return way, reason
         if way == "copied":
             reason = "the library ignores the start values of modelDescription.xml"

@@ -14,19 +14,17 @@ from cosim.blocks.component import Signal
 from cosim.core.arrays import Array, Rows
 from cosim.core.errors import InputError
 from cosim.core.text import amount, counted, percent, plain, some
-from cosim.core.times import rounding
+from cosim.core.times import TIME_TOLERANCE_SHARE, rounding
 from cosim.core.units import Conversion, conversion, definition_of
 from cosim.credibility.validity import bands_of_run
 from cosim.files.results import is_rounded
 from cosim.files.table import as_text
 from cosim.simulation.run_signals import RecordedRun
 
-SAME_TIME = 1e-9  # tolerance of equal times, as a fraction of a step
 # tolerance of equal values after a unit conversion there and back, as a fraction
-ROUNDING = 8 * float(np.finfo(float).eps)
+CONVERSION_TOLERANCE = 8 * float(np.finfo(float).eps)
 BETWEEN = "between rows of the baseline"
-BAND = "for {} of the time beyond the error band of the baseline"
-MAX_LISTED = 12  # signals in a short text
+MAX_LISTED_SIGNALS = 12  # signals in a short text
 
 
 @dataclass(frozen=True)
@@ -154,7 +152,7 @@ def time_tolerance(time: Array) -> float:
     """Return the tolerance [s] of equal times: below a step, above rounding."""
     steps = np.diff(time)
     step = float(np.min(steps[steps > 0.0], initial=1.0))
-    return max(SAME_TIME * step, ROUNDING * float(np.max(np.abs(time), initial=0.0)))
+    return max(TIME_TOLERANCE_SHARE * step, CONVERSION_TOLERANCE * float(np.max(np.abs(time), initial=0.0)))
 
 
 def compare_numbers(name: str, unit: str, time: Array, values: tuple[Array, Array], by: Conversion) -> Difference:
@@ -170,7 +168,7 @@ def compare_numbers(name: str, unit: str, time: Array, values: tuple[Array, Arra
     gap = np.where(same, 0.0, np.inf)
     gap[finite] = np.abs(second[finite] - first[finite])
     if by != Conversion():
-        gap[finite & (gap <= ROUNDING * np.maximum(np.abs(first), abs(by.offset)))] = 0.0
+        gap[finite & (gap <= CONVERSION_TOLERANCE * np.maximum(np.abs(first), abs(by.offset)))] = 0.0
     row = int(np.argmax(gap))
     good = first[np.isfinite(first)]
     span = float(np.ptp(good)) if good.size else 0.0
@@ -283,7 +281,7 @@ class Compared:
         reasons = [f"{counted(count, 'signal')} {verb}"] if count else []
         reasons += [f"{d.name} is {d.note}" for d in different if not d.alike]
         if missing := len(self.only_a):
-            names = some(self.only_a, MAX_LISTED)
+            names = some(self.only_a, MAX_LISTED_SIGNALS)
             verb = "is" if missing == 1 else "are"
             reasons.append(f"{counted(missing, 'signal')} of {self.a.path} {verb} missing in {self.b.path}: {names}")
         return reasons + ([self.shorter] if self.shorter else [])
@@ -359,10 +357,10 @@ def compare_runs(a: RecordedRun, b: RecordedRun, tolerance: float | None = None,
         if found.largest and (half := bands_of_run(a.manifest, name, time)) is not None:
             gaps = np.abs(at_times - first[rows])[np.isfinite(half)]
             beyond_band = float(np.mean(gaps > half[np.isfinite(half)])) if gaps.size else 0.0
-            notes.append(BAND.format(percent(beyond_band)))
+            notes.append(f"for {percent(beyond_band)} of the time beyond the error band of the baseline")
         if around is not None:
             outside, at = around.outside(first, second)  # distance of intermediate rows of b from the range of a
-            if outside > max(found.largest, ROUNDING * found.scale):
+            if outside > max(found.largest, CONVERSION_TOLERANCE * found.scale):
                 found = replace(found, largest=outside, at=at, share=outside / found.scale)
                 notes.append(BETWEEN)
         is_beyond = tolerance is not None and not found.largest <= absolute + tolerance * found.scale  # also of NaN

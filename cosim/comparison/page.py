@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from cosim.comparison.differences import MAX_LISTED, Difference, criteria_of, format_share, format_size
+from cosim.comparison.differences import MAX_LISTED_SIGNALS, Difference, criteria_of, format_share, format_size
 from cosim.comparison.several import ComparedRuns
 from cosim.core.arrays import Array, far_beyond
 from cosim.core.text import MISSING, amount, counted, display, is_difference, some
@@ -20,7 +20,7 @@ from cosim.report.template import command, render
 
 TEMPLATE = Path(__file__).with_name("templates") / "comparison.html.j2"
 MOST_LABELS = 4  # largest number of runs with labels including inputs in legends; more runs have short names
-MAX_ROWS = 200  # signals and inputs in a table; comparison.json has all
+MAX_TABLE_ROWS = 200  # signals and inputs in a table; comparison.json has all
 BASELINE, AGAIN = "baseline", ("", " again", " third")  # styles of lines: five colours three times for the others
 OTHER_TIMES = "interpolated linearly at the times of the baseline"
 
@@ -82,12 +82,12 @@ def comparison_page(runs: ComparedRuns) -> str:
         "outcomes": [*filter(None, runs.sentences)],
         "runs": _run_rows(runs),
         "shorts": runs.shorts,
-        "inputs": [(row.name, row.kind, *_short(map(input_text, row.values))) for row in runs.inputs[:MAX_ROWS]],
-        "more_inputs": len(runs.inputs[MAX_ROWS:]),
+        "inputs": [(row.name, row.kind, *_short(map(input_text, row.values))) for row in runs.inputs[:MAX_TABLE_ROWS]],
+        "more_inputs": len(runs.inputs[MAX_TABLE_ROWS:]),
         "criteria": criteria,
         "left_out": runs.left_out,
-        "signals": [(name, *map(_difference_cell, cells)) for name, cells in [*differing.items()][:MAX_ROWS]],
-        "more_signals": len([*differing][MAX_ROWS:]),
+        "signals": [(name, *map(_difference_cell, cells)) for name, cells in [*differing.items()][:MAX_TABLE_ROWS]],
+        "more_signals": len([*differing][MAX_TABLE_ROWS:]),
         "equal_names": [name for name in runs.table if name not in differing],
         "plots": drawing.plots(panels),
         "equal": drawing.plots(equal_panels),
@@ -113,7 +113,7 @@ def _run_rows(c: ComparedRuns) -> list[dict[str, Any]]:
             d, same = max(compared.differences, key=lambda d: d.share), compared.same
             most = f"{d.name}: {format_size(d, d.largest)} ({format_share(d)})" if d.largest else "equal"
             lists = (("of the baseline missing", compared.only_a), ("only here", compared.only_b))
-            notes = [f"{counted(len(n), 'signal')} {what}: {some(n, MAX_LISTED)}" for what, n in lists if n]
+            notes = [f"{counted(len(n), 'signal')} {what}: {some(n, MAX_LISTED_SIGNALS)}" for what, n in lists if n]
             notes += [compared.shorter, "" if compared.aligned else OTHER_TIMES]
         row = {"label": run.name, "style": styles.get(k, ""), "path": str(run.path), "most": most, "same": same}
         rows.append({**row, "note": "; ".join(filter(None, notes))})

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cosim.comparison.differences import (
-    MAX_LISTED,
+    MAX_LISTED_SIGNALS,
     Compared,
     Difference,
     compare_runs,
@@ -42,13 +42,14 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-MAX_RUNS, MAX_SIGNALS, MAX_CURVES = 12, 24, 144  # largest number of drawn runs
+MAX_COMPARED_RUNS, MAX_FIGURE_SIGNALS, MAX_FIGURE_CURVES = 12, 24, 144  # largest number of drawn runs
 MAX_DRAWN = 4  # signals in a figure by default
 MOST_IN_MEMORY = 4  # number of runs above which drawn runs are read twice, to save memory
-NOTHING = Results(np.zeros(0), (), np.zeros((0, 0)))
-FILES = ("comparison.json", "report.html")
+NO_RESULTS = Results(np.zeros(0), (), np.zeros((0, 0)))
+COMPARISON_FILES = ("comparison.json", "report.html")
 NO_VERDICT: Mapping[str, Any] = {"within": None, "reasons": None, "shorter": None, "only_a": [], "only_b": []}
-LONGEST_NAME, NUMBERED = 80, "run "  # characters of the name of a folder; the beginning of the name of a numbered run
+MAX_RUN_NAME_CHARACTERS = 80  # of the name of a folder
+NUMBERED_RUN = "run "  # beginning of the name of a numbered run
 
 
 @dataclass(frozen=True)
@@ -193,8 +194,8 @@ class ComparedRuns:
 
     def __repr__(self) -> str:
         rows = self.cells[1:]
-        more = [f"… and {len(rows) - MAX_LISTED} more"] if len(rows) > MAX_LISTED else []
-        return "\n  ".join([self.summary, *("  ".join(row) for row in rows[:MAX_LISTED]), *more])
+        more = [f"… and {len(rows) - MAX_LISTED_SIGNALS} more"] if len(rows) > MAX_LISTED_SIGNALS else []
+        return "\n  ".join([self.summary, *("  ".join(row) for row in rows[:MAX_LISTED_SIGNALS]), *more])
 
     def _repr_html_(self) -> str:
         from cosim.comparison.page import panels_of
@@ -207,7 +208,7 @@ class ComparedRuns:
         panels = [p for name, curves in drawn.items() for p in panels_of(self, name, [v[rows] for v in curves])]
         omitted = len(cells) - len(drawn)
         chart = cell_of(self.time[rows], panels, self.summary, rows=len(self.time), omitted=omitted)
-        return heading(self.summary) + table(heads, cells[:MAX_LISTED], len(cells) - MAX_LISTED) + chart
+        return heading(self.summary) + table(heads, cells[:MAX_LISTED_SIGNALS], len(cells) - MAX_LISTED_SIGNALS) + chart
 
     def plot(self, *names: str) -> Figure:
         """Return a matplotlib figure of signals in all runs, by default the signals that differ most.
@@ -296,10 +297,10 @@ def compare_several(
         except InputError as error:
             (left_out if source.is_optional else faults).extend(error.faults)
             continue
-        comparisons[k] = replace(found, b=replace(found.b, results=NOTHING), values={}, time=NOTHING.time)
+        comparisons[k] = replace(found, b=replace(found.b, results=NO_RESULTS), values={}, time=NO_RESULTS.time)
     refuse(faults or ([] if comparisons else left_out))
     kept = sorted([baseline, *comparisons])
-    bare = [replace(base, results=NOTHING) if k == baseline else comparisons[k].b for k in kept]
+    bare = [replace(base, results=NO_RESULTS) if k == baseline else comparisons[k].b for k in kept]
     place, names = kept.index(baseline), [sources[k].short for k in kept]
     shorts = [  # shorten to `run 3`, or `tank` and `tank #2`
         f"{name} #{names[: k + 1].count(name)}" if name in names[:k] else name for k, name in enumerate(names)
@@ -312,12 +313,12 @@ def compare_several(
     runs = {k: replace(run, name=label) for k, run, label in zip(kept, bare, labels, strict=True)}
     named = tuple(replace(c, a=runs[baseline], b=runs[k]) for k, c in sorted(comparisons.items()))
     ranked = sorted(comparisons, key=lambda k: -max(d.share for d in comparisons[k].differences))
-    drawn = sorted([baseline, *ranked[: MAX_RUNS - 1]])
+    drawn = sorted([baseline, *ranked[: MAX_COMPARED_RUNS - 1]])
     about = tuple(runs.values()), tuple(shorts), place, named, tuple(inputs), tuple(map(kept.index, drawn))
     compared = ComparedRuns(*about, base.results.time, {}, {}, tuple(map(str, left_out)))
     numbers = base.results.with_integers()
     drawable = [n for n in compared.table if n in numbers and not (n in numbers.exact and is_rounded(numbers[n]))]
-    curves = {n: list[Array]() for n in drawable[: min(MAX_SIGNALS, MAX_CURVES // len(drawn))]}
+    curves = {n: list[Array]() for n in drawable[: min(MAX_FIGURE_SIGNALS, MAX_FIGURE_CURVES // len(drawn))]}
     for k in drawn:
         found = compare_runs(base, read(k))
         first = int(np.searchsorted(compared.time, found.time[0]))
@@ -445,12 +446,12 @@ def compare(
     comparison = compare_several(sources, place, tolerance, absolute)
     if not write:
         return comparison, Path()
-    numbers = [short.removeprefix(NUMBERED) for short in shorts]
+    numbers = [short.removeprefix(NUMBERED_RUN) for short in shorts]
     name = f"runs {'-'.join(numbers)}" if all(map(str.isdecimal, numbers)) else " and ".join(shorts)
-    if len(name) > LONGEST_NAME:
+    if len(name) > MAX_RUN_NAME_CHARACTERS:
         name = f"{shorts[0]} and {len(shorts) - 1} others"
     with new_run(folder, name, "cosim compare", force=force) as out:
-        check_writable(out, FILES, paths)
+        check_writable(out, COMPARISON_FILES, paths)
         remove_earlier(out, read=paths)
         write_json(out / "comparison.json", comparison.as_json())
         if report:

@@ -12,7 +12,7 @@ from typing import Any, ParamSpec, TypeVar
 
 P = ParamSpec("P")
 T = TypeVar("T")
-AFTER, EVERY = 1.0, 0.25  # [s] from the start until the progress line appears, and between its updates
+FIRST_LINE_S, LINE_INTERVAL_S = 1.0, 0.25  # [s] until the line appears, and between its changes
 WIDTH = 79  # characters of the line
 
 
@@ -32,7 +32,7 @@ def shows_progress(function: Callable[P, T]) -> Callable[P, T]:
             """Show progress, given as (completed steps, all steps) or (stage, completed share)."""
             nonlocal shown
             now = time.monotonic()
-            if now - start >= AFTER and now - shown >= EVERY:
+            if now - start >= FIRST_LINE_S and now - shown >= LINE_INTERVAL_S:
                 stage, share = (f"{first}, ", second) if isinstance(first, str) else ("", first / max(second, 1))
                 print(
                     f"\r{function.__name__}: {stage}{share:.0%}, {now - start:.0f} s".ljust(WIDTH), end="", flush=True

@@ -18,8 +18,8 @@ from typing import Any, TypeVar
 from cosim.core.errors import InputError
 
 T = TypeVar("T")
-MODELS, PAGES, VERBS = "cosim.models", "cosim.pages", "cosim.verbs"  # entry point groups
-SOURCES = "cosim.sources"  # table formats: `cosim.files.table.Source`
+MODELS_GROUP, PAGES_GROUP, VERBS_GROUP = "cosim.models", "cosim.pages", "cosim.verbs"  # entry point groups
+SOURCES_GROUP = "cosim.sources"  # table formats: `cosim.files.table.Source`
 ALGORITHMS = "cosim.algorithms"  # coupling algorithms: `cosim.blocks.coupling.Algorithm`
 BASE = "base"  # model used by default
 
@@ -88,12 +88,12 @@ class Verb:
 
 def models() -> dict[str, ModelEntry]:
     """Return the registered models by their own names."""
-    return {entry.name: entry for _, entry in registered(MODELS, ModelEntry)}
+    return {entry.name: entry for _, entry in registered(MODELS_GROUP, ModelEntry)}
 
 
 def model_entry(name: str = BASE) -> ModelEntry:
-    """Return a model by name; raise InputError if no model has the name."""
-    entry = load(MODELS, name) if name in names(MODELS) else None
+    """Return a model by name; raise InputError if unknown."""
+    entry = load(MODELS_GROUP, name) if name in names(MODELS_GROUP) else None
     if not isinstance(entry, ModelEntry):
         raise InputError.at(
             Path("model"), f'no model "{name}" is installed; give a model.yaml, or a class of your own as FILE.py:Class'
@@ -103,7 +103,7 @@ def model_entry(name: str = BASE) -> ModelEntry:
 
 def is_model(name: str) -> bool:
     """Return True if a model is registered under a name."""
-    return name in names(MODELS)
+    return name in names(MODELS_GROUP)
 
 
 def entry_of(kind: type) -> ModelEntry | None:
@@ -115,7 +115,7 @@ def entry_of(kind: type) -> ModelEntry | None:
 def page_for(components: Iterable[Collection[str]]) -> Page | None:
     """Return the first registered page that fits one of the components, of which the variable names are given."""
     sets = [frozenset(variables) for variables in components]
-    return next((page for _, page in registered(PAGES, Page) if any(map(page.variables.issubset, sets))), None)
+    return next((page for _, page in registered(PAGES_GROUP, Page) if any(map(page.variables.issubset, sets))), None)
 
 
 def registered(group: str, kind: type[T]) -> Iterator[tuple[str, T]]:

@@ -18,8 +18,8 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 LOCK = "in-use"
-PREFIX = "cosim-"  # of each folder in the machine's temporary folder
-RETRIES, PAUSE = 10, 0.1  # [s]
+SCRATCH_PREFIX = "cosim-"  # of each folder in the machine's temporary folder
+RETRIES, RETRY_PAUSE_S = 10, 0.1  # [s]
 
 
 class ScratchFolder:
@@ -43,8 +43,8 @@ class ScratchFolder:
 
 
 def scratch(prefix: str, beside: Path | None = None) -> ScratchFolder:
-    """Return a new locked folder in `beside` (default: the system's temporary folder), and remove abandoned folders."""
-    sweep(beside or Path(tempfile.gettempdir()), prefix if beside else PREFIX)
+    """Return a new locked folder in `beside`, by default in the system's temporary folder; remove abandoned ones."""
+    sweep(beside or Path(tempfile.gettempdir()), prefix if beside else SCRATCH_PREFIX)
     return ScratchFolder(Path(tempfile.mkdtemp(prefix=prefix, dir=beside)))
 
 
@@ -55,7 +55,7 @@ def process_folder() -> Path:
     """Return the temporary folder of this process. It is removed at exit; after a kill, the next command removes it."""
     key = os.getpid(), tempfile.gettempdir()
     if key not in _folders or not _folders[key].path.is_dir():
-        _folders[key] = scratch(PREFIX)
+        _folders[key] = scratch(SCRATCH_PREFIX)
         atexit.register(_folders[key].remove)
     return _folders[key].path
 
@@ -87,7 +87,7 @@ def remove(folder: Path) -> None:
         shutil.rmtree(folder, ignore_errors=True)
         if not folder.exists():
             return
-        time.sleep(PAUSE)
+        time.sleep(RETRY_PAUSE_S)
 
 
 def lock_file(path: Path, *, create: bool = False) -> int | None:

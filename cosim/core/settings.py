@@ -24,9 +24,9 @@ from cosim.core.units import read_quantity
 
 P = ParamSpec("P")
 T = TypeVar("T")
-DEEPEST = 60  # maximum nesting of arguments, above that of any file read here
+MAX_NESTING = 60  # levels of values of arguments and of files
 LONGEST_NAME, LONGEST_PATH = 255, 4096  # limits of file systems [bytes]
-SHOWN = 60  # characters of a value in a message
+MAX_ARGUMENT_CHARACTERS = 60  # characters of a value in a message
 
 
 def of_python(value: Any) -> Any:
@@ -50,8 +50,8 @@ def of_python(value: Any) -> Any:
 
 def plain(value: Any, depth: int = 0) -> Any:
     """Convert a value to JSON types; raise ValueError if impossible."""
-    if depth > DEEPEST:
-        raise ValueError(f"it is nested more than {DEEPEST} levels deep; use fewer levels")
+    if depth > MAX_NESTING:
+        raise ValueError(f"it is nested more than {MAX_NESTING} levels deep; use fewer levels")
     if not isinstance(value, (list, tuple)):
         value = of_python(value)
     if isinstance(value, (list, tuple)):
@@ -232,4 +232,4 @@ def _represent(value: Any) -> str:
     except (ValueError, RecursionError):  # a very long number, or a mapping that contains itself
         return f"a {type(value).__name__} too large to show"
     text = text.encode("utf-8", "backslashreplace").decode()
-    return text if len(text) <= SHOWN else f"{text[: SHOWN - 1]}…"
+    return text if len(text) <= MAX_ARGUMENT_CHARACTERS else f"{text[: MAX_ARGUMENT_CHARACTERS - 1]}…"

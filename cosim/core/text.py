@@ -21,8 +21,8 @@ RAISED = str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹")
 NOT_IN_YAML = re.compile(r"[\x7f-\x9f\u2028\u2029\ufeff\ufffe\uffff]")
 MINUS = "\u2212"
 MISSING = "\u2013"
-WORDS, LONGEST_WORD = 2000, 100  # searched words, and their length
-MOST_NAMED = 3  # names in a sentence; a reader loses the thread of a longer chain
+MAX_SEARCHED_WORDS, MAX_WORD_CHARACTERS = 2000, 100  # searched words, and their length
+MAX_NAMED = 3  # names in a sentence; a reader loses the thread of a longer chain
 
 
 def plain(value: float, digits: int | None = 3) -> str:
@@ -102,7 +102,7 @@ def counted(count: int, noun: str) -> str:
 
 def join_names(names: Sequence[str]) -> str:
     """Return names as a phrase: `a`, `a and b`, `a, b and c`; with more than three names `a, b, c and 7 more`."""
-    items = [*names] if len(names) <= MOST_NAMED else [*names[:MOST_NAMED], f"{len(names) - MOST_NAMED} more"]
+    items = [*names] if len(names) <= MAX_NAMED else [*names[:MAX_NAMED], f"{len(names) - MAX_NAMED} more"]
     return " and ".join(filter(None, (", ".join(items[:-1]), *items[-1:])))
 
 
@@ -208,9 +208,9 @@ def closest(word: str, words: Iterable[str], similarity: float = 0.6) -> str:
     Args:
         similarity: Least similarity; 1 means equal.
     """
-    if len(word) > LONGEST_WORD:
+    if len(word) > MAX_WORD_CHARACTERS:
         return ""
-    candidates = [w for w in islice(words, WORDS) if len(w) <= LONGEST_WORD]
+    candidates = [w for w in islice(words, MAX_SEARCHED_WORDS) if len(w) <= MAX_WORD_CHARACTERS]
     return "".join(difflib.get_close_matches(word, candidates, n=1, cutoff=similarity))
 
 

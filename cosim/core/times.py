@@ -8,19 +8,21 @@ import numpy as np
 
 from cosim.core.arrays import Array
 
-ULPS = 4  # tolerance of equal times, in spacings of doubles
-SHARE = 1e-9  # share of a step by which equal times may differ
-MOST = 1e18  # steps, more than any run has
+# Times are equal if they differ by at most this number of spacings of doubles, and this share of a step.
+TIME_TOLERANCE_ULPS = 4
+TIME_TOLERANCE_SHARE = 1e-9
+STEP_COUNT_TOLERANCE = 1e-9  # relative tolerance of a whole number of steps
+MAX_STEP_COUNT = 1e18  # steps, more than any run has
 
 
 def rounding(t: float, step: float = 0.0) -> float:
-    """Return the tolerance [s] within which a time equals t, for steps of length `step` [s]."""
-    return ULPS * math.ulp(t) + SHARE * step
+    """Return the tolerance [s] for times equal to t, where steps have the length `step` [s]."""
+    return TIME_TOLERANCE_ULPS * math.ulp(t) + TIME_TOLERANCE_SHARE * step
 
 
 def roundings(times: Array, step: float = 0.0) -> Array:
-    """Return the tolerance [s] of each of many times, as `rounding` does."""
-    return ULPS * np.spacing(np.abs(times)) + SHARE * step
+    """Return `rounding` of many times."""
+    return TIME_TOLERANCE_ULPS * np.spacing(np.abs(times)) + TIME_TOLERANCE_SHARE * step
 
 
 def first_point(at: float, start: float, step: float) -> int:
@@ -35,7 +37,7 @@ def last_point(at: float, start: float, step: float) -> int:
 
 def difference(end: float, begin: float) -> float:
     """Return end − begin [s], rounded to the digits that doubles of this size can represent."""
-    spacing = ULPS * math.ulp(max(abs(end), abs(begin)))
+    spacing = TIME_TOLERANCE_ULPS * math.ulp(max(abs(end), abs(begin)))
     return round(end - begin, math.floor(-math.log10(spacing)))
 
 
@@ -45,5 +47,5 @@ def whole_steps(time: float, step: float) -> int:
 
 
 def steps_in(time: float, step: float) -> float:
-    """Return the number of steps in a time, limited to ±MOST; not necessarily a whole number."""
-    return min(max(time / step, -MOST), MOST)
+    """Return time/step, limited to ±MAX_STEP_COUNT."""
+    return min(max(time / step, -MAX_STEP_COUNT), MAX_STEP_COUNT)

@@ -28,7 +28,7 @@ class Unit(NamedTuple):
 
 # A line for each dimension in SI base units: symbols with their factors, and offsets of temperatures. Within a
 # dimension, messages offer the units in this order; a symbol without a factor is the SI unit.
-TABLE = """
+UNIT_TABLE = """
 1: 1 %=0.01
 m: m mm=1e-3 cm=1e-2 km=1e3 um=1e-6 µm=1e-6 in=0.0254
 s: s ms=1e-3 us=1e-6 µs=1e-6 ns=1e-9 min=60 h=3600
@@ -59,9 +59,9 @@ ONE_WAY = str.maketrans(
     dict(zip("⁰¹²³⁴⁵⁶⁷⁸⁹⁻\u2126\u03bc", "0123456789-\u03a9\u00b5", strict=True)) | {"℃": "°C", "℉": "°F"}
 )
 TOKEN = re.compile(r"(1|%|°[CF]?|[A-Za-zµΩ]+)(?:\^?(-?\d))?")
-NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
+NUMBER_PATTERN = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 # A unit that begins with a digit (1/min) needs a blank before it.
-QUANTITY = re.compile(rf"({NUMBER})(?:\s*(?=[^\s\d.])|\s+)(\S.*)")
+QUANTITY = re.compile(rf"({NUMBER_PATTERN})(?:\s*(?=[^\s\d.])|\s+)(\S.*)")
 PER_TIME, ROTATION = {"s": -1}, {"rad": 1, "s": -1}  # `1/min` of a speed of rotation counts turns, as rpm does
 NO_DEFINITIONS: Mapping[str, Sequence[float]] = MappingProxyType({})
 AMBIGUOUS = "may be gram or standard gravity", "; write kg, or m/s2"  # of g
@@ -85,7 +85,7 @@ def _words(text: str) -> list[tuple[str, int]] | None:
 
 def _symbols() -> dict[str, Unit]:
     symbols: dict[str, Unit] = {}
-    for line in TABLE.strip().splitlines():
+    for line in UNIT_TABLE.strip().splitlines():
         dimension, _, units = line.partition(": ")
         exponents = {name: power for name, power in _words(dimension) or () if name != "1"}
         for text in units.split():
@@ -182,7 +182,7 @@ def split_quantity(text: str) -> tuple[float, str] | None:
     The unit of a number alone is ""; the result is None for text without a number.
     """
     whole = text.strip()
-    if re.fullmatch(NUMBER, whole):
+    if re.fullmatch(NUMBER_PATTERN, whole):
         return float(whole), ""
     match = QUANTITY.fullmatch(whole)
     return None if match is None else (float(match[1]), match[2].strip())

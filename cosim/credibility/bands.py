@@ -22,10 +22,10 @@ from cosim.core.arrays import Array, Flags, NamedArrays, Rows
 from cosim.core.text import join_names, percent
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
-LEVEL = 0.9  # of the bands
-FEWEST = 10  # replays of the longest horizon
-FACTOR = 2.0  # largest ratio of neighbouring horizons
-PARTS = 8  # blocks of a free run over a log
+BAND_COVERAGE = 0.9  # of the bands
+MIN_REPLAYS = 10  # replays of the longest horizon
+MAX_HORIZON_RATIO = 2.0  # largest ratio of neighbouring horizons
+FREE_RUN_PARTS = 8  # parts of a free run over a log, each counted as one replay
 LEAST_ROWS = 4  # of the first interval
 
 
@@ -77,7 +77,7 @@ def track_of(
     replays = np.searchsorted(begins, np.arange(time.size), side="left") - 1
     ages = np.where(replays >= 0, time - time[begins[np.maximum(replays, 0)]], np.nan)
     if free:
-        replays = np.arange(time.size) * PARTS // time.size
+        replays = np.arange(time.size) * FREE_RUN_PARTS // time.size
     return Track(errors, ages, replays, inside)
 
 
@@ -88,11 +88,12 @@ def band_horizons(durations: Sequence[float], first: float) -> list[float]:
         durations: Time of each log that replays can cover [s].
     """
     longest = max(
-        (d / n for d in durations for n in range(1, FEWEST + 1) if _count(durations, d / n) >= FEWEST), default=0
+        (d / n for d in durations for n in range(1, MIN_REPLAYS + 1) if _count(durations, d / n) >= MIN_REPLAYS),
+        default=0,
     )
     if longest < first:
         return []
-    count = 1 + math.ceil(math.log(longest / first) / math.log(FACTOR) - 1e-9)
+    count = 1 + math.ceil(math.log(longest / first) / math.log(MAX_HORIZON_RATIO) - 1e-9)
     return [float(f"{h:.4g}") for h in np.geomspace(first, longest * (1.0 - 1e-3), max(1, count))]
 
 
@@ -113,7 +114,7 @@ class Bands(BaseModel):
     reason: why there is no band, empty otherwise
     """
 
-    level: Finite = LEVEL
+    level: Finite = BAND_COVERAGE
     horizons: list[Finite] = []
     replays: list[int] = []
     widths: dict[str, list[Finite | None]] = {}
@@ -157,13 +158,15 @@ def bands_of(tracks: Mapping[float, Sequence[Track]], units: Mapping[str, str], 
         blocks = {name: [b for t in tracks[horizon] for b in _blocks(t, name, low, horizon)] for name in names}
         counts.append(max((len(of) for of in blocks.values()), default=0))
         for name, sizes in blocks.items():
-            width = max([conformal_quantile(sizes, LEVEL), *(math.inf if w is None else w for w in widths[name][-1:])])
+            width = max(
+                [conformal_quantile(sizes, BAND_COVERAGE), *(math.inf if w is None else w for w in widths[name][-1:])]
+            )
             widths[name].append(width if math.isfinite(width) else None)
         low = horizon
     widths = {name: of for name, of in widths.items() if any(w is not None for w in of)}
     if not widths:
         count = f"{max(counts)} of the longest" if counts else "none"
-        reason = f"too few data: an error band needs {FEWEST} replays of equal duration, and the logs have {count}"
+        reason = f"too few data: a band needs {MIN_REPLAYS} replays of one horizon, and the logs have {count}"
         return Bands(reason=reason, held_out=held_out)
     shown = {name: units.get(name, "") for name in widths}
     return Bands(
@@ -203,9 +206,9 @@ class Coverage(BaseModel):
     @property
     def sentence(self) -> str:
         """Return the coverage in words."""
-        shares = join_names([f"{percent(share)} of the errors of {name}" for name, share in self.outputs.items()])
-        inside = f"{percent(self.inside)} of the rows of sealed logs are in the region of the other logs"
-        return f"{inside}. There, the {100 * LEVEL:g} % error bands of the FMU contain {shares}."
+        shares = join_names([f"{percent(share)} of {name}" for name, share in self.outputs.items()])
+        inside = f"{percent(self.inside)} of the sealed rows lie in the region of the logs"
+        return f"{inside}. There, the {100 * BAND_COVERAGE:g} % error bands of the FMU hold {shares}."
 
 
 def coverage_of(bands: Bands, tracks: Mapping[float, Sequence[Track]]) -> Coverage | None:

@@ -17,7 +17,7 @@ from cosim.report.template import Row, render
 
 TEMPLATE = Path(__file__).with_name("templates") / "credibility.html.j2"
 MOST_PAIRS = 6  # pairs of coordinates with a chart
-DIGITS = 6  # of estimates and intervals
+ESTIMATE_DIGITS = 6  # of estimates and intervals
 
 
 def write_page(fmu: Path) -> Path:
@@ -39,7 +39,11 @@ def write_page(fmu: Path) -> Path:
         ],
         "left_out": [Row(name, reason) for name, reason in region.left_out.items()],
         "parameters": [
-            (n, amount(p.value, p.unit, DIGITS), " … ".join(amount(e, p.unit, DIGITS) for e in p.ci95 or ()))
+            (
+                n,
+                amount(p.value, p.unit, ESTIMATE_DIGITS),
+                " … ".join(amount(e, p.unit, ESTIMATE_DIGITS) for e in p.ci95 or ()),
+            )
             for n, p in record.parameters.items()
         ],
         "logs": [

@@ -25,16 +25,16 @@ from cosim.files.archive import DAMAGES, member_of
 from cosim.fmi.fmu_build import archive_member
 
 SCHEMA = 1
-FOLDER = "extra/org.cosim.credibility/"
-RECORD, IDENTITY = f"{FOLDER}credibility.json", f"{FOLDER}identity.json"
+CREDIBILITY_FOLDER = "extra/org.cosim.credibility/"
+RECORD, IDENTITY = f"{CREDIBILITY_FOLDER}credibility.json", f"{CREDIBILITY_FOLDER}identity.json"
 SRMD = "extra/org.ssp-standard.ssp-traceability.srmd/resourceMetaData.srmd"  # place and name of the standard
 SRMD_VERSION, LAYERED_STANDARD = "1.0.0", "1.0-rc.2"  # of the format, and the release of SSP LS Traceability
-NAMESPACES = {
+SRMD_NAMESPACES = {
     "srmd": "http://ssp-standard.org/SSPTraceability1/SimulationResourceMetaData",
     "stc": "http://ssp-standard.org/SSPTraceability1/SSPTraceabilityCommon",
     "xlink": "http://www.w3.org/1999/xlink",
 }
-CHUNK = 1 << 20  # [bytes]
+READ_CHUNK_BYTES = 1 << 20
 
 
 class LogRecord(BaseModel):
@@ -161,9 +161,9 @@ def _rewrite(fmu: Path, members: Mapping[str, bytes], drop: str = "") -> None:
 
 def _srmd(record: Credibility) -> bytes:
     """Return the metadata of the FMU as a simulation resource (SRMD of SSP LS Traceability)."""
-    for prefix, address in NAMESPACES.items():
+    for prefix, address in SRMD_NAMESPACES.items():
         ElementTree.register_namespace(prefix, address)
-    srmd, stc, xlink = (f"{{{address}}}" for address in NAMESPACES.values())
+    srmd, stc, xlink = (f"{{{address}}}" for address in SRMD_NAMESPACES.values())
     about = {"version": SRMD_VERSION, "name": record.model, "generationTool": f"cosim {__version__}"}
     root = ElementTree.Element(f"{srmd}SimulationResourceMetaData", about)
     kind = {"type": "org.cosim.credibility", f"{xlink}type": "simple"}
@@ -234,7 +234,7 @@ def content_hash(fmu: Path) -> str:
                 continue
             sha.update(f"{member.filename}\0{member.file_size}\0".encode())
             with archive.open(member) as stream:
-                while part := stream.read(CHUNK):
+                while part := stream.read(READ_CHUNK_BYTES):
                     sha.update(part)
     return sha.hexdigest()
 

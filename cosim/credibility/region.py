@@ -17,11 +17,11 @@ from pydantic import BaseModel, Field, model_validator
 from cosim.core.arrays import Array, Flags, NamedArrays, Rows
 from cosim.credibility.bands import Finite, conformal_quantile
 
-LEVEL = 0.95  # share of the rows of a left-out part within the threshold
-BLOCKS = 40  # parts of all logs
-FEWEST_ROWS = 4  # of a part
-MOST_POINTS, MOST_ROWS = 1000, 20_000  # of the region, and of the logs that it is made from
-CONSTANT = 1e-6  # of a signal's size: a smaller range is rounding, and a larger change leaves a constant signal
+REGION_COVERAGE = 0.95  # share of the rows of a left-out part within the threshold
+REGION_PARTS = 40  # parts of all logs
+MIN_PART_ROWS = 4  # of a part
+MAX_REGION_POINTS, MAX_REGION_ROWS = 1000, 20_000  # of the region, and of the logs that it is made from
+CONSTANT_SIGNAL_RANGE = 1e-6  # of a signal's size: smaller ranges are rounding, larger changes leave a constant signal
 REPEATS = 0.99  # correlation from which a coordinate repeats another one
 DECIMALS = 3  # of a stored point
 
@@ -50,7 +50,7 @@ class Coordinate(BaseModel):
     @property
     def is_constant(self) -> bool:
         """Return whether the logs never move the coordinate."""
-        return self.high - self.low <= CONSTANT * max(1.0, abs(self.low), abs(self.high))
+        return self.high - self.low <= CONSTANT_SIGNAL_RANGE * max(1.0, abs(self.low), abs(self.high))
 
 
 class Region(BaseModel):
@@ -139,10 +139,12 @@ def region_of(
     tables = [_table(stretch, every, step) for stretch in stretches]
     tables = [table[np.isfinite(table).all(axis=1)] for table in tables]
     rows = sum(map(len, tables))
-    if rows < BLOCKS * FEWEST_ROWS:
-        return Region(reason=f"too few data: the region needs {BLOCKS * FEWEST_ROWS} rows, and the logs have {rows}")
-    every_nth = max(1, rows // MOST_ROWS)
-    lengths = [max(FEWEST_ROWS, round(rows / BLOCKS / every_nth))] * len(tables)
+    if rows < REGION_PARTS * MIN_PART_ROWS:
+        return Region(
+            reason=f"too few data: the region needs {REGION_PARTS * MIN_PART_ROWS} rows, and the logs have {rows}"
+        )
+    every_nth = max(1, rows // MAX_REGION_ROWS)
+    lengths = [max(MIN_PART_ROWS, round(rows / REGION_PARTS / every_nth))] * len(tables)
     blocks, first = [], 0  # numbers with a gap between logs, so that only parts of one log are neighbours
     for k, table in enumerate(tables):
         tables[k] = table = table[::every_nth]
@@ -150,8 +152,8 @@ def region_of(
         first = int(blocks[-1][-1]) + 2 if len(table) else first
     values, block = np.vstack(tables), np.concatenate(blocks)
     low, high = values.min(axis=0), values.max(axis=0)
-    constant = high - low <= CONSTANT * np.maximum(1.0, np.maximum(np.abs(low), np.abs(high)))
-    spread = np.where(constant, CONSTANT * np.maximum(1.0, np.abs(low)), np.std(values, axis=0))
+    constant = high - low <= CONSTANT_SIGNAL_RANGE * np.maximum(1.0, np.maximum(np.abs(low), np.abs(high)))
+    spread = np.where(constant, CONSTANT_SIGNAL_RANGE * np.maximum(1.0, np.abs(low)), np.std(values, axis=0))
     scaled, kept, left_out = (values - low) / spread, list[int](), dict[str, str]()
     shapes = (values - values.mean(axis=0)) / np.where(constant, 1.0, np.std(values, axis=0))
     for j, (signal, kind) in enumerate(every):
@@ -166,8 +168,8 @@ def region_of(
         else:
             kept.append(j)
     scaled = scaled[:, kept]
-    chosen = _spread_out(scaled, MOST_POINTS)
-    threshold = conformal_quantile(_left_out_distances(scaled, block, chosen), LEVEL)
+    chosen = _spread_out(scaled, MAX_REGION_POINTS)
+    threshold = conformal_quantile(_left_out_distances(scaled, block, chosen), REGION_COVERAGE)
     if not np.isfinite(threshold):
         return Region(reason="too few data: the threshold of the region needs parts of the logs to leave out in turn")
     coordinates = []
@@ -223,12 +225,12 @@ def _left_out_distances(points: Array, block: Rows, chosen: Rows) -> list[Array]
 
 
 def distances(region: Region, stretch: Stretch) -> Distances:
-    """Return the distance of signals from a region, at rows about one step of the logs apart, or MOST_ROWS of them."""
+    """Return the distance of signals from a region, at up to MAX_REGION_ROWS rows about one step of the logs apart."""
     from scipy.spatial import cKDTree
 
     size = stretch.time.size
     usual = float(np.median(np.diff(stretch.time))) if size > 1 else 0.0
-    rows = slice(None, None, max(1, -(-size // MOST_ROWS), round(region.step / usual) if usual > 0.0 else 1))
+    rows = slice(None, None, max(1, -(-size // MAX_REGION_ROWS), round(region.step / usual) if usual > 0.0 else 1))
     known = [j for j, c in enumerate(region.coordinates) if c.signal in stretch.signals]
     missing = [c.name for c in region.coordinates if c.signal not in stretch.signals]
     if not known:

@@ -16,11 +16,11 @@ from cosim.estimation.kernel.kernel import Data, Layout
 from cosim.estimation.subject.interface import Subject
 from cosim.logs.log import Log, slowness
 
-UNSCORED = 1.0  # [s] at the start of each log in which the filter settles; see `count_unscored`
-STARTING = 0.2  # [s] from the start of a log within which a measurement counts as initial
-UNEVEN = 0.01  # share of a row, or of a quantisation step, above which times or values are not equidistant
-NEAR = 4  # readings on each side from which a slope is computed
-REPEATED = 0.2  # readings with a smaller share of different values are quantised
+UNSCORED = 1.0  # [s] of each log in which the filter settles; see `count_unscored`
+STARTING = 0.2  # [s] within which a measurement counts as initial
+UNEVEN = 0.01  # share of a row, or of a quantisation step, from which times or values are not equally spaced
+SLOPE_READINGS = 4  # readings on each side for a slope
+REPEATED = 0.2  # share of different values below which readings are quantised
 
 
 def data_of(subject: Subject, log: Log, layout: Layout, interpolated: frozenset[str] = frozenset()) -> Data:
@@ -126,13 +126,13 @@ def _slopes(column: Array) -> Array:
     """Return the slope per row, at each row, of a line through the nearest readings."""
     slopes = np.zeros(column.size)
     rows = np.flatnonzero(np.isfinite(column))
-    if rows.size < 2 * NEAR + 1:
+    if rows.size < 2 * SLOPE_READINGS + 1:
         return slopes
     windows = np.lib.stride_tricks.sliding_window_view
-    t, v = windows(rows.astype(np.float64), 2 * NEAR + 1), windows(column[rows], 2 * NEAR + 1)
+    t, v = windows(rows.astype(np.float64), 2 * SLOPE_READINGS + 1), windows(column[rows], 2 * SLOPE_READINGS + 1)
     t = t - t.mean(axis=1, keepdims=True)
     inner = np.sum(t * v, axis=1) / np.sum(t * t, axis=1)
-    slopes[rows] = np.concatenate([np.full(NEAR, inner[0]), inner, np.full(NEAR, inner[-1])])
+    slopes[rows] = np.concatenate([np.full(SLOPE_READINGS, inner[0]), inner, np.full(SLOPE_READINGS, inner[-1])])
     return slopes
 
 

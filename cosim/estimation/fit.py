@@ -22,15 +22,15 @@ from cosim.estimation.problem import Noise, Problem, Scored
 from cosim.estimation.subject.candidates import Free, own, spread
 from cosim.logs.log import NORMAL_95
 
-ITERATIONS = 30
-CONVERGED = 0.1  # NLL improvement at which iterations end; hypotheses are compared without an exact optimum
-DIFFERENCE = 0.01  # step for differences, as a share of a parameter's size; logarithms of noise need more
+MAX_ITERATIONS = 30
+CONVERGED_GAIN = 0.1  # NLL improvement of the last iteration; an evidence needs no exact optimum
+DIFFERENCE = 0.01  # share of a parameter's size for differences; noise levels, in logarithms, need more
 NOISE_DIFFERENCE = 5.0 * DIFFERENCE
-LEVELS = 9  # levels of the unknown inputs that are compared before a fit
-DAMPING = 1e-3  # initial Levenberg damping, and the factor by which it changes
-BOLDER = 10.0
-FURTHEST = 1e4  # distance, in parameter sizes, at which the search for the end of a flat likelihood stops
-PROMISE = 3.0  # factor on the predicted improvement; if even this does not suffice, a fit is abandoned
+LEVELS = 9  # of the unknown inputs, compared before a fit
+DAMPING = 1e-3  # of the first step; it is multiplied and divided by
+DAMPING_FACTOR = 10.0
+MAX_PLATEAU_DISTANCE = 1e4  # distance in sizes from which a plateau has no end
+PROMISE = 3.0  # factor on the improvement of the quadratic model before a fit is abandoned
 
 
 @dataclass(frozen=True)
@@ -112,7 +112,7 @@ def fit(
     start: NamedValues,
     noise: Noise,
     only: Sequence[int] | None = None,
-    iterations: int = ITERATIONS,
+    iterations: int = MAX_ITERATIONS,
     *,
     goal: float = np.inf,
     sensing: bool = True,
@@ -210,8 +210,8 @@ class _Scoring:
             damping = self.damping
             pace = self._move(gradient, information)
             if is_kept and not pace:
-                self.damping = damping  # new derivatives, not more damping, are needed
-            enough = CONVERGED * self.problem.scatter
+                self.damping = damping  # the slopes are to blame
+            enough = CONVERGED_GAIN * self.problem.scatter
             converged = pace < enough and not is_kept
             is_kept = not is_kept and pace > max(enough, 0.5 * expected)  # if as predicted
             done += 1
@@ -289,9 +289,9 @@ class _Scoring:
             scored = self._evaluate(theta)
             after = scored.nll + self._penalty(theta)
             if after < before:
-                self.theta, self.scored, self.damping = theta, scored, max(self.damping / BOLDER, DAMPING**2)
+                self.theta, self.scored, self.damping = theta, scored, max(self.damping / DAMPING_FACTOR, DAMPING**2)
                 return before - after
-            self.damping *= BOLDER
+            self.damping *= DAMPING_FACTOR
         return 0.0
 
 
@@ -320,7 +320,7 @@ def with_flat_directions(problem: Problem, f: Fit, scattered: Array) -> Fit:
 def _end_of_plateau(problem: Problem, f: Fit, x: Free, limit: float) -> float:
     """Return the value towards a limit at which the NLL has risen by ½·1.96², or the limit if there is none."""
     start = f.values[x.name]
-    furthest = float(np.clip(limit, start - FURTHEST * x.size, start + FURTHEST * x.size))
+    furthest = float(np.clip(limit, start - MAX_PLATEAU_DISTANCE * x.size, start + MAX_PLATEAU_DISTANCE * x.size))
 
     def rise(value: float) -> float:
         nll = problem.score({**f.values, x.name: value}, f.noise).nll

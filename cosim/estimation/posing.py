@@ -13,19 +13,28 @@ from cosim.core.arrays import Array, Flags, NamedValues
 from cosim.core.text import join_names, plain, written
 from cosim.estimation.data import count_unscored, data_of, first_measured, readings_of, start_state
 from cosim.estimation.fit import Fit, fit, initial_fit
-from cosim.estimation.kernel.kernel import CONSTANT, DEVIATION, DISTURBANCE, EARLIER, MEMORY, Begin, simulate_all
+from cosim.estimation.kernel.kernel import (
+    CONSTANT_PREFIX,
+    CORRELATION_TIME,
+    DEVIATION,
+    DISTURBANCE,
+    EARLIER,
+    Begin,
+    simulate_all,
+)
 from cosim.estimation.problem import WITHIN, Noise, Origin, Problem, Settings
 from cosim.estimation.subject.candidates import Free, own, spread_of_base, usual_size
 from cosim.estimation.subject.interface import Subject
 from cosim.logs.log import Log, slowness, surprise, white_noise
 
-MOST_DOUBLINGS = 8  # doublings of the number of substeps in a fit
-FEW = 2  # co-simulation steps between rows while hypotheses are ranked
-SAME, ALIKE = 0.5, 1e-5  # NLL change allowed with fewer substeps, absolute and relative to a wrong model's
-NEAR = 10.0  # growth of a start error within a shortened horizon; horizons with its square are shortened
-EXPONENTIAL = 5.0  # growth over the second half of a time that indicates exponential growth; quadratic growth gives 4
-STARTS = 8  # simulations per log and state
-DISPLACEMENT = float(np.sqrt(np.finfo(float).eps))  # change of a state, as a share of its standard deviation
+MOST_DOUBLINGS = 8  # of the substeps of a fit
+MAX_SEARCH_SUBSTEPS = 2  # steps of co-simulation between rows while a search ranks candidates
+# allowed NLL change by fewer substeps, absolute and relative to the NLL of a wrong model
+SUBSTEP_NLL_TOLERANCE, SUBSTEP_NLL_SHARE = 0.5, 1e-5
+MAX_ERROR_GROWTH = 10.0  # growth of a start error within a shortened horizon; a horizon is too long if it happens twice
+EXPONENTIAL = 5.0  # growth over the second half of a time, from which growth is exponential; quadratic growth has 4
+STARTS_PER_STATE = 8  # simulations per log and state
+STATE_DISPLACEMENT = float(np.sqrt(np.finfo(float).eps))  # of a state, as a share of its standard deviation
 NO_SETTINGS = Settings()
 USUAL_MEMORY = 0.15  # [s] default correlation time of an unknown input, longer than a few rows
 
@@ -47,8 +56,8 @@ def build_problem(
     measured = tuple(q.name for q in subject.outputs if q.name in logged)
     kernel = subject.kernel(measured, unnamed=unnamed, constant=settings.per_log)
     values = {**dict.fromkeys(kernel.layout.parameters, 0.0), **subject.values}
-    values[MEMORY] = USUAL_MEMORY * max(slowness(log.step) for log in logs)
-    free = list[Free]()  # each parameter with a value per log, once per group of logs, with a prior around its value
+    values[CORRELATION_TIME] = USUAL_MEMORY * max(slowness(log.step) for log in logs)
+    free = list[Free]()  # each parameter per log once per group of logs, with a prior around its value
     for name in settings.per_log:
         p, value = subject.declared[name], values[name]
         share = settings.tolerance.get(name, p.tolerance)
@@ -96,8 +105,8 @@ def start_covariance(subject: Subject, problem: Problem) -> Array:
     measured = _measured_at_start(subject, problem)
     variances = {n: WITHIN * v for n, v in zip(layout.outputs, problem.r.tolist(), strict=True) if n in measured}
     variances = {**subject.start_variance, **variances}
-    derived = {layout.states[k] for k in layout.carrying}  # states whose uncertainty comes from a constant state only
-    known = DISTURBANCE, DEVIATION, EARLIER, CONSTANT
+    derived = {layout.states[k] for k in layout.carrying}  # from a constant, with the uncertainty of the constant
+    known = DISTURBANCE, DEVIATION, EARLIER, CONSTANT_PREFIX
     names = [n for n in layout.uncertain if not n.startswith(known) and n not in derived]
     if not variances.keys() >= set(names):
         ranges = dict(zip(layout.states, _range(problem).tolist(), strict=True))
@@ -143,15 +152,15 @@ def coarsen(problem: Problem, values: NamedValues | None = None) -> Problem:
         values: Parameter values for the test, by default those of the base model. An active effect may need more
             substeps.
     """
-    if problem.layout.is_free_run:  # in a free run, substeps matter only to forces that depend on the outputs
-        few = [replace(log, substeps=min(log.substeps, FEW)) for log in problem.logs]
+    if problem.layout.is_free_run:  # substeps matter to forces that follow the outputs, and to no model without them
+        few = [replace(log, substeps=min(log.substeps, MAX_SEARCH_SUBSTEPS)) for log in problem.logs]
         return replace(problem, logs=few) if values is None else problem
     noise, values = problem.plain, {**problem.values, **(values or {})}
     exact = problem.score(values, noise).nll
     most = max(log.substeps for log in problem.logs)
     for n in (2**k for k in range((most - 1).bit_length())):
         coarse = replace(problem, logs=[replace(log, substeps=min(n, log.substeps)) for log in problem.logs])
-        if abs(coarse.score(values, noise).nll - exact) < max(SAME, ALIKE * abs(exact)):
+        if abs(coarse.score(values, noise).nll - exact) < max(SUBSTEP_NLL_TOLERANCE, SUBSTEP_NLL_SHARE * abs(exact)):
             return coarse
     return problem
 
@@ -167,7 +176,7 @@ def with_finer_steps(problem: Problem, values: NamedValues, noise: Noise) -> Pro
     for _ in range(MOST_DOUBLINGS):
         finer = replace(problem, logs=[replace(log, substeps=2 * log.substeps) for log in problem.logs])
         before, now = now, finer.score(values, noise).nll
-        if abs(now - before) < max(SAME, ALIKE * abs(now)):
+        if abs(now - before) < max(SUBSTEP_NLL_TOLERANCE, SUBSTEP_NLL_SHARE * abs(now)):
             break
         problem = finer
     return problem
@@ -188,24 +197,28 @@ def predictable_horizon(problem: Problem, horizon: float) -> float:
     for index, log in enumerate(problem.logs):
         data, first, run = problem.data(values, index), count_unscored(log), problem.run(values, noise, index)
         length = int(min(round(min(horizon, len(data.u) * data.step) / data.step), len(data.u) - first - 1))
-        spreads, added = np.std(run.states[first:], axis=0), (DISTURBANCE, CONSTANT)
+        spreads, added = np.std(run.states[first:], axis=0), (DISTURBANCE, CONSTANT_PREFIX)
         moving = [k for k, name in enumerate(layout.states) if spreads[k] > 0.0 and not name.startswith(added)]
         if length < 2 or not moving or not np.isfinite(spreads).all():
             continue
         spread, p = problem.readings[index].spread, problem.parameters(values, index)
-        steps = np.vstack([np.zeros(len(spreads)), np.diag(DISPLACEMENT * spreads)[moving]])
-        for row in np.unique(np.linspace(first, len(data.u) - 1 - length, STARTS).astype(int)).tolist():
+        steps = np.vstack([np.zeros(len(spreads)), np.diag(STATE_DISPLACEMENT * spreads)[moving]])
+        for row in np.unique(np.linspace(first, len(data.u) - 1 - length, STARTS_PER_STATE).astype(int)).tolist():
             start, part = problem.drop_unknown_inputs(run.states[row]), data.rows(row, row + length + 1)
             begins: list[Begin] = [(part, p, start + step, run.memory[row], None, 0) for step in steps]
             with np.errstate(over="ignore", invalid="ignore"):
                 outputs = np.array([each.outputs for each in simulate_all(problem.kernel, begins)])
                 outputs /= np.where(spread > 0.0, spread, np.inf)
-                apart = np.linalg.norm(outputs[1:] - outputs[0], axis=2) / DISPLACEMENT
+                apart = np.linalg.norm(outputs[1:] - outputs[0], axis=2) / STATE_DISPLACEMENT
             curves.append(np.nan_to_num(apart, nan=np.inf, posinf=np.inf).max(axis=0))
     rows = min(map(len, curves), default=0)
     growth = np.maximum.accumulate(np.median([curve[:rows] for curve in curves], axis=0)) if rows else np.zeros(1)
-    is_far = (growth > NEAR**2) & (growth > EXPONENTIAL * growth[np.arange(len(growth)) // 2])
-    return min(horizon, max(2, int(np.argmax(growth > NEAR))) * problem.logs[0].step) if is_far.any() else horizon
+    is_far = (growth > MAX_ERROR_GROWTH**2) & (growth > EXPONENTIAL * growth[np.arange(len(growth)) // 2])
+    return (
+        min(horizon, max(2, int(np.argmax(growth > MAX_ERROR_GROWTH))) * problem.logs[0].step)
+        if is_far.any()
+        else horizon
+    )
 
 
 def halve_log(problem: Problem) -> Problem:
@@ -299,9 +312,9 @@ def fit_growing(problem: Problem, free: Sequence[Free], start: NamedValues) -> F
 # -- sensor noise in the logs, which may differ from the noise stated by the model -------------------
 
 
-OFF = 1.5  # ratio of estimated to stated noise above which they differ; an estimate is accurate to about 10 %
-STAMPS_ERR, WILD = 5.0, 9.0  # standard deviations at which the test is positive; upper limit of squared innovations
-SMOOTH = 0.3  # share of a channel's noise level that may come from motion between rows
+OFF = 1.5  # ratio from which a level differs from the noise; accuracy is about 10 %
+STAMPS_ERR, MAX_SQUARED_INNOVATION = 5.0, 9.0  # standard deviations of the test; limit on squared innovations
+MAX_MOTION_SHARE = 0.3  # share of a channel's level that may come from motion between rows
 
 
 def noise_levels(problem: Problem) -> tuple[dict[str, float], dict[str, float]]:
@@ -318,7 +331,7 @@ def noise_levels(problem: Problem) -> tuple[dict[str, float], dict[str, float]]:
         simulated = [np.where(np.isfinite(y), run[:, j], np.nan) for y, run in zip(columns, runs, strict=True)]
         read, motion = (white_noise(np.concatenate([surprise(y) for y in each])) for each in (columns, simulated))
         both[name] = read
-        if motion < SMOOTH * read:
+        if motion < MAX_MOTION_SHARE * read:
             noise[name] = math.sqrt(read**2 - motion**2)
     return noise, both | noise
 
@@ -339,7 +352,7 @@ def erring_stamps(problem: Problem, at: Fit) -> Flags:
         with np.errstate(invalid="ignore"):
             share = np.where(readings.scored, speed**2 / s, 0.0)
             share = share - share.sum(axis=0) / np.maximum(1, readings.scored.sum(axis=0)) * readings.scored
-            squares = np.minimum(e**2 / s, WILD)  # a few outliers are no sign of clock errors
+            squares = np.minimum(e**2 / s, MAX_SQUARED_INNOVATION)  # a few outliers are no clock error
             spread = np.where(readings.scored, squares - 1.0, 0.0)
             moved = np.where(readings.scored, np.copysign(np.sqrt(squares * speed**2 / s), speed * e), 0.0)
         neighbours = moved[1:] * moved[:-1]

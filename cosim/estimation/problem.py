@@ -15,7 +15,7 @@ from cosim.core.arrays import Array, Flags, NamedValues, Rows
 from cosim.core.linear_algebra import pseudo_inverse
 from cosim.estimation.data import UNEVEN, Readings, count_unscored, readings_of, shifted
 from cosim.estimation.kernel.kernel import (
-    MEMORY,
+    CORRELATION_TIME,
     Data,
     Filtered,
     Inputs,
@@ -26,12 +26,12 @@ from cosim.estimation.kernel.kernel import (
 )
 from cosim.estimation.subject.candidates import Free, own, spread
 
-RANGE_ROWS = 500  # rows of each log from which the range of the process noise is determined
-UNKNOWN = 1e-4  # lower limit of sensor noise, as a share of the first guess
-LONGEST_MEMORY = 0.1  # longest correlation time, as a share of a log
-WITHIN = 10.0  # factor between stated and actual noise variance: one standard deviation of the prior of its logarithm
+RANGE_ROWS = 500  # scored rows for the range of the process noise, the same of each log
+MIN_NOISE_SHARE = 1e-4  # share of a first guess of the noise below which no sensor lies
+LONGEST_MEMORY = 0.1  # share of a log
+WITHIN = 10.0  # factor between stated and actual noise: on the variance one standard deviation of the prior of its log
 TINY = float(np.finfo(float).tiny)
-STEP = float(np.sqrt(np.finfo(float).eps))  # step of differences, relative to max(1, value)
+PARAMETER_STEP = float(np.sqrt(np.finfo(float).eps))  # of differences, relative to max(1, value)
 
 
 @dataclass(frozen=True)
@@ -145,8 +145,8 @@ class Problem:
         if not self.ranges:
             found = self._noise_range()
             if self.layout.is_free_run:
-                # the error of a free run is as large as the motion, which from row to row far exceeds the noise
-                fastest = np.maximum(self._largest("spread") / self.values[MEMORY], TINY)
+                # the error of a free run is as large as the motion, from row to row far more than the noise
+                fastest = np.maximum(self._largest("spread") / self.values[CORRELATION_TIME], TINY)
                 found = replace(found, largest=np.maximum(found.largest, 2.0 * np.log(fastest)))
             self.ranges.append(found)
         return self.ranges[0]
@@ -173,8 +173,8 @@ class Problem:
                 found[:, k] = np.interp(np.log(marks), np.log(np.maximum.accumulate(rises)), GRID)
             return found
 
-        (smallest,) = levels([SMALLEST], memory=float(np.log(self.longest_memory)))
-        quiet, plain, largest = levels([0.5 * PLAIN, PLAIN, LARGEST])
+        (smallest,) = levels([SMALLEST_RISE], memory=float(np.log(self.longest_memory)))
+        quiet, plain, largest = levels([0.5 * PLAIN_RISE, PLAIN_RISE, LARGEST_RISE])
         return NoiseRange(np.minimum(smallest, quiet), quiet, plain, largest)
 
     def _largest(self, property: str) -> Array:
@@ -222,7 +222,7 @@ class Problem:
         """Return the noise with a given unknown input power."""
         if self.sensing is not None:
             return replace(self.sensing, power=power)
-        return Noise(power, float(np.log(self.values[MEMORY])), np.log(self.r), np.full(len(self.r), -np.inf))
+        return Noise(power, float(np.log(self.values[CORRELATION_TIME])), np.log(self.r), np.full(len(self.r), -np.inf))
 
     @property
     def plain(self) -> Noise:
@@ -234,7 +234,7 @@ class Problem:
         """Return the limits of the noise in a fit, with stated sensor noise as weak prior."""
         now, steps = self.at(self.noise.plain), [d.step for d in self.logs]
         stated, decade = np.log(self.r), np.log(WITHIN)
-        least = np.where(self.stated, 1.0 / WITHIN, UNKNOWN) ** 2 * np.exp(stated)
+        least = np.where(self.stated, 1.0 / WITHIN, MIN_NOISE_SHARE) ** 2 * np.exp(stated)
         low = np.log(np.maximum(least, self._largest("resolution") ** 2 / 12.0))
         high = np.maximum(np.log(np.maximum(self._largest("spread") ** 2, TINY)), stated + 2.0 * decade)
         if self.layout.is_free_run and not self.trusted:  # unknown inputs must explain errors of the model
@@ -297,7 +297,7 @@ class Problem:
                 return self.simulate(values, index, state, first).outputs[0, list(initial.values())]
 
             def slope(place: int) -> Array:
-                step = STEP * max(1.0, abs(float(x[place])))
+                step = PARAMETER_STEP * max(1.0, abs(float(x[place])))
                 return (read(x + step * (np.arange(len(x)) == place)) - y) / step
 
             y, states = read(x), list(initial)
@@ -371,7 +371,7 @@ class Problem:
         """Return the arguments of the kernel's filter for a log."""
         data = self.data(values, index) if data is None else data
         x0, more = self.start(values, index)
-        p = self.numbers({**self.of_log(values, index), MEMORY: float(np.exp(noise.memory))})
+        p = self.numbers({**self.of_log(values, index), CORRELATION_TIME: float(np.exp(noise.memory))})
         P0, places = self.P0 + more @ more.T, list(self.layout.noisy)
         P0[places, places] = np.exp(noise.power)
         return data, p, x0, P0, self.densities(noise), self.variances(noise, index)
@@ -463,13 +463,13 @@ class Problem:
 
 # Random quantities of a filter: the unknown input of each forced equation, and sensor noise.
 #
-# The range of an unknown input is determined from its effect on the innovations, so that no constant here depends on
-# units of a model. An unknown input increases the innovation variance s. If the mean of ln s increases by less than
-# SMALLEST, no log can show the input. At PLAIN the input is clearly detectable, and sensors still contribute.
+# The range of an unknown input is measured by its effect on the innovations, so no constant here has a model's unit. An
+# input raises the innovation variance s. If the mean of ln s rises by less than SMALLEST_RISE, no log can show the
+# input. At PLAIN_RISE the input is plainly detected, and sensors still contribute.
 #
 
 
-SMALLEST, PLAIN, LARGEST = 1e-3, 0.04, 3.0
+SMALLEST_RISE, PLAIN_RISE, LARGEST_RISE = 1e-3, 0.04, 3.0
 GRID = np.arange(-60.0, 40.0, 4.0)
 
 
@@ -509,7 +509,7 @@ class Noise:
 
 @dataclass(frozen=True, eq=False)
 class NoiseRange:
-    """Log powers of each unknown input at which ln s (innovation variance s) increases by SMALLEST … LARGEST."""
+    """Log power of each unknown input at which ln s rises by SMALLEST_RISE to LARGEST_RISE; s: innovation variance."""
 
     smallest: Array
     quiet: Array

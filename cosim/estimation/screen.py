@@ -20,8 +20,8 @@ from cosim.estimation.parallel import in_parallel
 from cosim.estimation.problem import Noise, Problem
 from cosim.estimation.subject.candidates import Candidate
 
-SHARE = 0.3  # step for differences, as a share of an effect's usual size, because kinks may be away from neutral
-RANK = float(np.sqrt(np.finfo(float).eps))  # share of the residual, or of a singular value, that counts as zero
+DIFFERENCE_SHARE = 0.3  # share of an effect's usual size for its difference, since kinks may be away from neutral
+RANK = float(np.sqrt(np.finfo(float).eps))  # share of the residual, or of a singular value, that counts as none
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,14 +119,14 @@ class ScoreTest:
             return Terms(c, self._project(row)[None, :], np.zeros((1, 1)), np.inf)
         at_neutral = all(f.neutral is None or self.values[f.name] == f.neutral for f in c.free)
         distances = np.array([c.starts[0][n] - self.values[n] for n in c.parameters])
-        switched, scale = False, 1.0 if at_neutral else SHARE / DIFFERENCE
+        switched, scale = False, 1.0 if at_neutral else DIFFERENCE_SHARE / DIFFERENCE
         is_absent = at_neutral and c.kind != "parameter" and bool(distances.any())
         if is_absent:
-            steps = np.diag(SHARE * distances)[distances != 0.0]
-            if len(steps) > 1:  # all parameters together, and each alone
-                steps = np.vstack([SHARE * distances, steps])
-        else:  # linear terms, each a finite step of one parameter
-            sizes = [SHARE / scale * f.size for f in c.free]
+            steps = np.diag(DIFFERENCE_SHARE * distances)[distances != 0.0]
+            if len(steps) > 1:  # joint and single
+                steps = np.vstack([DIFFERENCE_SHARE * distances, steps])
+        else:  # linear, each from a finite step of one parameter
+            sizes = [DIFFERENCE_SHARE / scale * f.size for f in c.free]
             over = [self.values[f.name] + size > f.high for f, size in zip(c.free, sizes, strict=True)]
             steps = np.diag(np.where(over, -1.0, 1.0) * sizes)
         rows = [scale * self.row(dict(zip(c.parameters, step, strict=True))) for step in steps]
@@ -135,7 +135,7 @@ class ScoreTest:
             # detectable, and more than half of the effect of the large step
             switched = float(jump @ jump) > max(1.0, 0.5 * float(rows[0] @ rows[0]))
         innovations = [r[: len(self.scored.errors)] for r in rows]
-        identifiable = max((float(r @ r) for r in innovations), default=0.0) / SHARE**2
+        identifiable = max((float(r @ r) for r in innovations), default=0.0) / DIFFERENCE_SHARE**2
         return Terms(c, np.array(rows), scale * steps, identifiable, switched)
 
     def _row(self, steps: NamedValues, noise: Noise) -> Array:

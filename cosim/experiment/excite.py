@@ -36,12 +36,11 @@ MAX_RIVALS = 4  # pairs simulated for every preferred experiment; the others are
 EXCURSION_SHARE = 0.95  # share of the allowed excursion for a second attempt
 SMALLER = 5  # number of times that an input is reduced for a rival that exceeds the limits
 MIN_DISTANCE = 1.0  # standard deviations below which noise hides the difference
-TONES = 12
+MULTISINE_TONES = 12
 MAX_PARTS = 6  # parts of a trial in which an axis moves or rests
 MOVE_PROBABILITY = 0.75  # probability that an axis moves in a part
 AMPLITUDE_SHARE = (0.3, 1.0)  # share of an axis' amplitude
-KINDS = ("multisine", "chirp", "steps", "ramps")
-REPORT = "report.html"
+INPUT_SHAPES = ("multisine", "chirp", "steps", "ramps")
 MAX_LISTED_PAIRS = 5  # pairs listed in the terminal
 Progress = Callable[[str, float], None]
 
@@ -190,7 +189,7 @@ def excite(
         else:  # of the model's class, otherwise the general one
             entry = registry.entry_of(type(model))
             rig = (registry.resolve(entry.rig) if entry and entry.rig else OpenLoop)(model, *common)
-        files = ("excitation.csv", "excitation.yaml", "plant.fmu", REPORT, *rig.files)
+        files = ("excitation.csv", "excitation.yaml", "plant.fmu", "report.html", *rig.files)
         check_writable(place, files, [source / "plant.fmu"] if (source := refinement_folder(text)) else [])
         excitation = _choose(question, rig, time, seed, experiments, show_stage)
         none = f"none of {experiments} experiments"
@@ -213,7 +212,7 @@ def excite(
             from cosim.experiment.report import page
 
             with showing({"display": question.subject.display}):
-                write_text(place / REPORT, page(excitation, place / "excitation.yaml"))
+                write_text(place / "report.html", page(excitation, place / "excitation.yaml"))
         return excitation
 
 
@@ -290,13 +289,13 @@ def draw_signals(rng: np.random.Generator, axes: Sequence[RigAxis], time: Array)
     part = np.minimum((time / time[-1] * parts).astype(int), parts - 1)
     signals = {}
     for axis in axes:
-        kind = str(rng.choice(KINDS))
+        kind = str(rng.choice(INPUT_SHAPES))
         size = axis.amplitude * rng.uniform(*AMPLITUDE_SHARE)
         moves = rng.random(parts) < MOVE_PROBABILITY
         wave: Array  # within ±1
         if kind == "multisine":
-            frequency = np.geomspace(axis.slowest, axis.fastest, TONES)
-            phase = rng.uniform(0.0, 2.0 * math.pi, TONES)
+            frequency = np.geomspace(axis.slowest, axis.fastest, MULTISINE_TONES)
+            phase = rng.uniform(0.0, 2.0 * math.pi, MULTISINE_TONES)
             wave = np.sin(2.0 * math.pi * np.outer(time, frequency) + phase).sum(axis=1)
             wave = wave / np.abs(wave).max()
         elif kind == "chirp":

@@ -49,7 +49,7 @@ from cosim.probing.places import probe_places
 from cosim.probing.prober import quantities, sine_course
 from cosim.refinement.search.fits import TOGETHER
 from cosim.refinement.study import StudyFile, read_study
-from cosim.residuals.drive import MODULES, DriveApart, as_columns, model_signals
+from cosim.residuals.drive import REPLAY_MODULES, DriveApart, as_columns, model_signals
 from cosim.terms.code import fmu_model
 from cosim.terms.language import Term, with_place
 
@@ -145,7 +145,7 @@ def separation(
 # The question that an experiment is to answer.
 
 
-NOTHING = "nothing"
+BASE_RIVAL = "nothing"
 NOISE_SHARE = 0.01  # assumed noise of an output, relative to its spread, without logs
 # Kinds of terms at one place that are hard to separate in small or short experiments.
 CONFUSED = (
@@ -373,7 +373,7 @@ def _question_of_fmu(
     played = {q.name: commands[with_place(q.name)] for q in inputs}
     units = {q.name: q.unit for group in signals for q in group}
     log = Log(path.with_suffix(".csv"), time, played, {}, units, step, units, {})
-    with Worker(*MODULES) as worker, DriveApart(worker, log, path) as drive:
+    with Worker(*REPLAY_MODULES) as worker, DriveApart(worker, log, path) as drive:
         log = replace(log, outputs=as_columns(drive.run(0, time.size - 1, {}), drive.outputs))
     subject = FmuSubject.of_fmu(probe_places(path, [log]).structure, [log], limits=Limits())
     candidates = _candidates(subject.loaded)
@@ -423,7 +423,7 @@ def _question_of_model(path: Path, loaded: LoadedModel, against: Sequence[str]) 
     if own and names:  # compared with the active effects, at their values in the model
         free, values = tuple(f for n in own for f in candidates[n].free), ModelSubject(loaded).values
         present = Rival(" and ".join(own), {f.name: values[f.name] for f in free}, free)
-        rivals = (present, *(r for r in rivals if r.name != NOTHING))
+        rivals = (present, *(r for r in rivals if r.name != BASE_RIVAL))
         pairs = tuple((present.name, name) for name in names)
     measured = model.measured or tuple(model.sensor_variance)
     return Question(loaded, base, rivals, pairs, measured or tuple(q.name for q in model.outputs), {}, {})
@@ -456,7 +456,7 @@ def _rivals(
     A single named candidate is compared with the model without it. Without names, the groups supply the pairs.
     """
     if len(names) == 1:
-        return (typical_rival(subject, candidates[names[0]]), Rival(NOTHING, {}, ())), ((names[0], NOTHING),)
+        return (typical_rival(subject, candidates[names[0]]), Rival(BASE_RIVAL, {}, ())), ((names[0], BASE_RIVAL),)
     pairs = tuple(pair for group in ([names] if names else map(sorted, groups)) for pair in combinations(group, 2))
     rivals = dict.fromkeys(chain.from_iterable(pairs))
     return tuple(typical_rival(subject, candidates[name]) for name in rivals), pairs

@@ -17,7 +17,7 @@ from cosim.report.panels import held_panels, signal_panel
 from cosim.report.template import command, render
 
 TEMPLATE = Path(__file__).with_name("templates") / "excite.html.j2"
-MAX_PAIRS = 30  # pairs in the table, the least separated first
+MAX_RIVAL_PAIRS = 30  # pairs in the table, the least separated first
 MAX_OUTPUTS = 12  # with a chart
 
 
@@ -48,7 +48,7 @@ def page(excitation: Excitation, scenario: Path) -> str:
         "inputs": drawing.plots(held_panels(trial.inputs, units)),
         "needed": MIN_SEPARATION,
         "longest": max(MIN_SEPARATION, *excitation.apart.values(), *excitation.usual.values()),
-        "most": MAX_PAIRS,
+        "most": MAX_RIVAL_PAIRS,
         "limits": _limits(excitation, units),
         "outputs": drawing.plots(panels),
         "play": command("cosim", "run", str(scenario)),

@@ -16,7 +16,7 @@ import numpy as np
 
 from cosim.core.arrays import Array
 from cosim.core.text import did_you_mean
-from cosim.core.units import NUMBER, conversion, read_quantity
+from cosim.core.units import NUMBER_PATTERN, conversion, read_quantity
 from cosim.estimation.data import data_of, start_state
 from cosim.estimation.subject.fmu_subject import FmuSubject
 from cosim.estimation.subject.interface import Subject
@@ -27,8 +27,8 @@ from cosim.model.model import Model, Values
 
 Signals = Mapping[str, Array]
 Ranges = Mapping[str, tuple[float, float]]  # input → smallest and largest value
-FASTEST = 0.1  # largest frequency, as a share of the sample rate
-SLOWEST = 2.0  # smallest number of periods in a trial
+MAX_FREQUENCY_SHARE = 0.1  # largest frequency, as a share of the sample rate
+MIN_PERIODS = 2.0  # smallest number of periods in a trial
 
 
 @dataclass(frozen=True)
@@ -85,8 +85,8 @@ class OpenLoop:
 
     def __init__(self, model: Model, limits: Mapping[str, float], ranges: Ranges, duration: float) -> None:
         self.ranges = ranges
-        fastest = FASTEST / model.rate
-        slowest = min(SLOWEST / duration, fastest)
+        fastest = MAX_FREQUENCY_SHARE / model.rate
+        slowest = min(MIN_PERIODS / duration, fastest)
         self.axes = tuple(RigAxis(q.name, limits[q.name], slowest, fastest) for q in model.inputs)
 
     def commands(self, model: Model, signals: Signals) -> dict[str, Array]:
@@ -191,7 +191,9 @@ def trial_of(
     )
 
 
-RANGE = re.compile(rf"(?P<name>[^=]+)=\s*(?P<low>{NUMBER})\s*\.\.\s*(?P<high>{NUMBER})\s*(?P<unit>.*)")
+LIMITS_PATTERN = re.compile(
+    rf"(?P<name>[^=]+)=\s*(?P<low>{NUMBER_PATTERN})\s*\.\.\s*(?P<high>{NUMBER_PATTERN})\s*(?P<unit>.*)"
+)
 
 
 def inputs_to_limit(model: Model | Subject) -> tuple[str, ...]:
@@ -211,7 +213,7 @@ def limits_and_ranges(
     spans = {q.name: q.bounds for q in model.inputs}
     units = {q.name: q.unit for q in (*model.outputs, *model.inputs)}
     for text in ranges:
-        match, name = RANGE.fullmatch(text.strip()), text.partition("=")[0].strip()
+        match, name = LIMITS_PATTERN.fullmatch(text.strip()), text.partition("=")[0].strip()
         if name not in spans:
             faults.append(f'--range {text}: no input "{name}"{did_you_mean(name, spans)} (inputs: {", ".join(spans)})')
             continue

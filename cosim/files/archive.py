@@ -26,14 +26,15 @@ from cosim.core.drafts import is_full
 
 DESCRIPTION = "modelDescription.xml"
 STRUCTURE = "SystemStructure.ssd"
-SHOWN = 60  # characters of a name in a message
+ARCHIVE_DATE = (1980, 1, 1, 0, 0, 0)  # of every written file, the earliest of ZIP: equal content gives equal bytes
+MAX_MEMBER_CHARACTERS = 60  # characters of a name in a message
 MOST_FILES = 20_000
 MOST_UNPACKED = 1_000_000_000  # unpacked size of all files [bytes], whatever their compression
 MOST_OF_FREE = 0.9  # usable fraction of the free disk space
 LOCAL_HEADER = 30  # minimum size of a file's local header [bytes]
 MOST_XML = 20_000_000  # size of a parsed file [bytes], enough for about 100 000 variables
 # XML limits: nesting, elements in total, attributes per element
-DEEPEST, MOST_ELEMENTS, MOST_ATTRIBUTES = 60, 500_000, 100
+MAX_XML_DEPTH, MAX_XML_ELEMENTS, MAX_XML_ATTRIBUTES = 60, 500_000, 100
 PACKED_BY = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED, zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA)
 DAMAGES = (zipfile.BadZipFile, zlib.error, EOFError, OSError, RuntimeError, ValueError, struct.error)
 
@@ -55,9 +56,9 @@ class Contents:
         return name in self.parsed or posixpath.splitext(name)[1].lower() in self.parsed
 
 
-FMU = Contents("FMI", DESCRIPTION, (DESCRIPTION, "sources/buildDescription.xml"))
-SSP = Contents("SSP", STRUCTURE, (STRUCTURE, ".ssd", ".ssv", ".ssm", ".ssb"))
-_SOUND: set[bytes] = set()  # digests of accepted XML, because the same XML is read several times
+FMU_CONTENTS = Contents("FMI", DESCRIPTION, (DESCRIPTION, "sources/buildDescription.xml"))
+SSP_CONTENTS = Contents("SSP", STRUCTURE, (STRUCTURE, ".ssd", ".ssv", ".ssm", ".ssb"))
+_SOUND: set[bytes] = set()  # digests of accepted XML, which is read several times
 
 
 def check_archive(path: Path) -> None:
@@ -84,7 +85,7 @@ def member_of(path: Path, name: str) -> bytes | None:
         return archive.read(name) if sizes.get(name, MOST_XML + 1) <= MOST_XML else None
 
 
-def unpack(path: Path, folder: Path, kind: Contents = FMU) -> None:
+def unpack(path: Path, folder: Path, kind: Contents = FMU_CONTENTS) -> None:
     """Unpack an archive into a folder.
 
     A link in the archive becomes a file with its target as content.
@@ -103,8 +104,8 @@ def unpack(path: Path, folder: Path, kind: Contents = FMU) -> None:
 
 
 @contextmanager
-def _checked(path: Path, kind: Contents = FMU) -> Iterator[zipfile.ZipFile]:
-    """Yield an opened archive after all checks."""
+def _checked(path: Path, kind: Contents = FMU_CONTENTS) -> Iterator[zipfile.ZipFile]:
+    """Yield an archive after its checks."""
     with path.open("rb") as stream:
         try:
             archive = zipfile.ZipFile(stream)
@@ -125,14 +126,14 @@ def _checked(path: Path, kind: Contents = FMU) -> Iterator[zipfile.ZipFile]:
                     "is compressed by an unsupported method; use deflate": member.compress_type not in PACKED_BY,
                 }
                 for problem in (text for text, is_there in problems.items() if is_there):
-                    raise BadArchive(f'"{member.filename[:SHOWN]}" in it {problem}')
+                    raise BadArchive(f'"{member.filename[:MAX_MEMBER_CHARACTERS]}" in it {problem}')
             # The compression ratio is no criterion: a table of zeros shrinks a thousandfold.
             if (size := sum(member.file_size for member in members)) > MOST_UNPACKED:
                 limit = f"more than the {MOST_UNPACKED / 1e6:.0f} MB that are unpacked; it may be a zip bomb"
                 raise BadArchive(f"it would unpack to {size / 1e6:.0f} MB, {limit}")
             for member, following in pairwise(sorted(members, key=lambda m: m.header_offset)):
                 if following.header_offset < member.header_offset + LOCAL_HEADER + member.compress_size:
-                    first, second = member.filename[:SHOWN], following.filename[:SHOWN]
+                    first, second = member.filename[:MAX_MEMBER_CHARACTERS], following.filename[:MAX_MEMBER_CHARACTERS]
                     raise BadArchive(f'"{first}" and "{second}" in it share bytes; it may be a zip bomb')
             for member in members:
                 if kind.parses(member.filename) and (size := member.file_size) > MOST_XML:
@@ -170,11 +171,11 @@ def check_xml(name: str, text: bytes, standard: str) -> None:
     def start(_: str, attributes: list[str]) -> None:
         nonlocal depth, count
         depth, count = depth + 1, count + 1
-        if depth > DEEPEST:
-            raise BadArchive(f"its {name} is nested more than {DEEPEST} levels deep; use fewer levels")
-        if count > MOST_ELEMENTS or len(attributes) > 2 * MOST_ATTRIBUTES:
+        if depth > MAX_XML_DEPTH:
+            raise BadArchive(f"its {name} is nested more than {MAX_XML_DEPTH} levels deep; use fewer levels")
+        if count > MAX_XML_ELEMENTS or len(attributes) > 2 * MAX_XML_ATTRIBUTES:
             raise BadArchive(
-                f"its {name} has more than the {MOST_ELEMENTS} elements with {MOST_ATTRIBUTES} attributes each "
+                f"its {name} has more than the {MAX_XML_ELEMENTS} elements with {MAX_XML_ATTRIBUTES} attributes each "
                 "that are read"
             )
 

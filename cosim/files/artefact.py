@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from cosim.core.registry import VERBS, Verb, attempt, registered
+from cosim.core.registry import VERBS_GROUP, Verb, attempt, registered
 
 ROOMS = Path(__file__).resolve().parent.parent
 DECLARATIONS = "artefacts"  # module of a room
@@ -111,7 +111,7 @@ class Artefact:
 def artefacts() -> tuple[Artefact, ...]:
     """Return all declared kinds, those of installed packages first."""
     declared: list[Artefact] = []
-    for name, verb in registered(VERBS, Verb):
+    for name, verb in registered(VERBS_GROUP, Verb):
         if verb.artefacts:
             declared += attempt(name, verb.artefacts) or ()
     for room in pkgutil.iter_modules([str(ROOMS)], "cosim."):

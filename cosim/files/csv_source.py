@@ -19,9 +19,9 @@ from cosim.core.text import counted
 from cosim.files.files import atomic_write, open_bytes
 from cosim.files.table import DECIMAL_COMMA, Column, Source, Table, number_of, split_heading
 
-MOST_BYTES = 200_000_000  # size of a file [bytes]; files are read whole
-CHUNK = 1000  # rows written at a time
-PLAIN = 1e-4, 1e16  # `repr` writes numbers from the first to below the second without an exponent
+MAX_TABLE_BYTES = 200_000_000  # size of a file [bytes]; files are read whole
+ROWS_PER_WRITE = 1000  # rows written at a time
+PLAIN_SIZES = 1e-4, 1e16  # `repr` writes numbers from the first to below the second without an exponent
 THOUSANDS = re.compile(r"\s*-?\d{1,3}([.,'’ ])\d{3}(\1\d{3})*(?!\1)[.,]\d+\s*")  # 1.234,5 and 1,234.5
 SEPARATORS = {";": "semicolons", "\t": "tabs", "|": "vertical bars", " ": "blanks"}
 
@@ -35,8 +35,8 @@ class Csv(Source):
 
     def read(self, path: Path, names: Container[str] = (), text: Collection[str] = ()) -> Table:
         """Read all columns, non-numeric ones as text."""
-        if (size := path.stat().st_size) > MOST_BYTES:
-            sizes = f"{size / 1e6:.0f} MB; the limit is {MOST_BYTES / 1e6:.0f} MB"
+        if (size := path.stat().st_size) > MAX_TABLE_BYTES:
+            sizes = f"{size / 1e6:.0f} MB; the limit is {MAX_TABLE_BYTES / 1e6:.0f} MB"
             cure = "remove columns or rows, split the log into several logs of one study, or write Parquet"
             raise InputError.at(path, f"has {sizes}; {cure}")
         with open_bytes(path) as stream:
@@ -78,8 +78,8 @@ class Csv(Source):
         is_numeric = all(isinstance(c.values, np.ndarray) and c.values.dtype.kind in "iuf" for c in columns)
         with atomic_write(path) as stream:
             csv.writer(stream, lineterminator="\n").writerow([column.name for column in columns])
-            for first in range(0, len(columns[0].values), CHUNK):  # Python floats need four times the memory.
-                part: list[Any] = [column.values[first : first + CHUNK] for column in columns]
+            for first in range(0, len(columns[0].values), ROWS_PER_WRITE):  # Python floats need four times the memory.
+                part: list[Any] = [column.values[first : first + ROWS_PER_WRITE] for column in columns]
                 if is_numeric:
                     stream.write(lines_of_numbers(part))
                 else:
@@ -231,7 +231,7 @@ def lines_of_numbers(columns: Sequence[Array]) -> str:
     for column, texts in zip(columns, cells, strict=True):
         if column.dtype.kind == "f":
             size = np.abs(column)
-            for k in np.flatnonzero(~(((size >= PLAIN[0]) & (size < PLAIN[1])) | (size == 0.0))).tolist():
+            for k in np.flatnonzero(~(((size >= PLAIN_SIZES[0]) & (size < PLAIN_SIZES[1])) | (size == 0.0))).tolist():
                 texts[k] = repr(texts[k])
     rows = [*zip(*cells, strict=True)]
     return to_json(rows)[2:-2].replace(b"],[", b"\n").replace(b'"', b"").decode() + "\n" if rows else ""

@@ -25,8 +25,9 @@ from cosim.core.settings import FilePath as FilePath
 
 NOT_BLANK = "give a name, or . for the current folder"
 STOPPING = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
-MOST_HOLES, SMALL = 1000, 1 << 26  # largest size per stored byte; smaller files [bytes] are always read
-READING = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)  # pipes are not waited for
+MAX_SIZE_PER_STORED_BYTE = 1000  # above, a file is sparse
+ALWAYS_READ_BYTES = 1 << 26
+READ_FLAGS = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)  # pipes are not waited for
 
 
 def open_regular(path: Path) -> int:
@@ -36,10 +37,10 @@ def open_regular(path: Path) -> int:
         OSError: The file is unreadable, a pipe or device (which may block or never end), or a sparse file with almost
             no stored bytes.
     """
-    descriptor = os.open(path, READING)
+    descriptor = os.open(path, READ_FLAGS)
     status = os.fstat(descriptor)
     is_regular, stored = stat.S_ISREG(status.st_mode), 512 * getattr(status, "st_blocks", status.st_size)
-    if is_regular and status.st_size <= MOST_HOLES * stored + SMALL:
+    if is_regular and status.st_size <= MAX_SIZE_PER_STORED_BYTE * stored + ALWAYS_READ_BYTES:
         return descriptor
     os.close(descriptor)
     raise OSError(

@@ -23,17 +23,18 @@ from cosim.core.version import __version__
 from cosim.files.artefact import artefacts
 from cosim.files.files import FilePath, check_writable, delay_stops, named_path, open_regular, parse_json
 
-RESULTS = Path("results")
-NUMBERED = RESULTS / "NAME"  # default output folder: the next number in results/NAME; the verb chooses NAME
+RESULTS_FOLDER = Path("results")
+# default output folder: a new number in results/NAME, with a name chosen by the workflow
+NUMBERED = RESULTS_FOLDER / "NAME"
 RUN_NUMBER = re.compile(r"\d{4,15}")  # name of the folder of a run
 STARTED = "started.json"
-COMMAND, STATUS = "command", "status"  # keys of each record
+COMMAND_KEY, STATUS_KEY = "command", "status"  # keys of each record
 RUNNING, INTERRUPTED = "running", "interrupted"
 ELSEWHERE = "running or interrupted"  # the process is on another machine and cannot be checked
 REPLAY = "replay.json"  # record of a replay, stored beside its rows
 SAME_BEGINNING = 5.0  # [s] tolerance of a process's start time, since the system's clock may have been corrected
 SCHEMA_VERSION = 1  # of manifest.json, replay.json and sweep.json
-MOST_BYTES = 200_000_000  # size of a JSON or YAML file [bytes]
+MAX_RECORD_BYTES = 200_000_000  # size of a JSON or YAML file [bytes]
 
 
 # -- names ----------------------------------------------------------------------------------------
@@ -97,7 +98,7 @@ def new_run(out: FilePath | None, name: str, verb: str, *, force: bool = False) 
             (folder / STARTED).unlink(missing_ok=True)  # mark of an interrupted command
             about = {"pid": os.getpid(), "begun": psutil.Process().create_time(), "host": platform.node()}
             about |= {"schema_version": SCHEMA_VERSION, "cosim_version": __version__}
-            about |= {COMMAND: verb, STATUS: INTERRUPTED}
+            about |= {COMMAND_KEY: verb, STATUS_KEY: INTERRUPTED}
             try:
                 with (folder / STARTED).open("x", encoding="utf-8") as stream:
                     json.dump(about, stream)
@@ -117,7 +118,7 @@ def new_run(out: FilePath | None, name: str, verb: str, *, force: bool = False) 
 def runs_named(name: str) -> Path:
     """Return results/NAME with characters that are safe in shells."""
     safe = re.sub(r"\s+", "-", re.sub(r"[^\w.\-\s]+", "_", name).strip(" .")) or "run"
-    return RESULTS / safe[:100]
+    return RESULTS_FOLDER / safe[:100]
 
 
 def _new_number(runs: Path) -> Path:
@@ -234,7 +235,7 @@ def content_of(path: Path) -> dict[str, Any]:
         stream = open_regular(path)  # faster than `open`, which matters for `cosim list`
         try:
             size = os.fstat(stream).st_size
-            content = parse_json(os.read(stream, size) if size <= MOST_BYTES else b"")
+            content = parse_json(os.read(stream, size) if size <= MAX_RECORD_BYTES else b"")
         finally:
             os.close(stream)
     except (OSError, ValueError, RecursionError):
@@ -243,8 +244,8 @@ def content_of(path: Path) -> dict[str, Any]:
 
 
 def status_in(folder: Path) -> str:
-    """Return the status of an incomplete command as a phrase; "" for a complete one."""
-    status = (manifest_in(folder) or replay_record(folder) or content_of(folder / STARTED)).get(STATUS, "ok")
+    """Return the status of an incomplete command as a phrase, else ""."""
+    status = (manifest_in(folder) or replay_record(folder) or content_of(folder / STARTED)).get(STATUS_KEY, "ok")
     return "" if status == "ok" else f" (status: {state_of(folder) or status})"
 
 
@@ -271,15 +272,15 @@ def results_in(out: FilePath | None, verb: str, name: str, *, force: bool = Fals
 
 # -- types of the values in records ---------------------------------------------------------------
 
-EACH = "*"  # key in a type of mappings; its type applies to all values
-NUMBER = (int, float, NoneType)
-# A type is a class or several, a list with the type of all its elements, or a mapping from keys, which may be absent
-CRITERION = {"kind": str, "of": str, "met": bool, "value": NUMBER, "max": NUMBER}
-COMMON: Mapping[str, Any] = {
+EACH = "*"  # key of a type of mappings, for all their values
+NUMBER_TYPES = (int, float, NoneType)
+# A type is a class or several, a list with the type of each element, or a mapping from keys, which may be absent
+CRITERION = {"kind": str, "of": str, "met": bool, "value": NUMBER_TYPES, "max": NUMBER_TYPES}
+COMMON_KEY_TYPES: Mapping[str, Any] = {
     **dict.fromkeys(("cosim_version", "version", "command", "status", "verdict", "sentence"), str),
     "schema_version": int,
 }
-TYPES: Mapping[str, Mapping[str, Any]] = {
+FILE_KEY_TYPES: Mapping[str, Mapping[str, Any]] = {
     "manifest.json": {
         **dict.fromkeys(("source", "loop", "no_report"), str),
         **{key: [str] for key in ("order", "beside", "discrete", "texts", "warnings")},
@@ -289,7 +290,7 @@ TYPES: Mapping[str, Mapping[str, Any]] = {
         "criteria": [CRITERION],
         "units": {EACH: str},
         "display": {EACH: list},
-        "unit_definitions": {EACH: [NUMBER]},
+        "unit_definitions": {EACH: [NUMBER_TYPES]},
         "fmus": {EACH: dict},
     },
     "replay.json": {"log": str, "fmu": str, "units": {EACH: str}, "display": {EACH: list}, "start": dict},
@@ -309,8 +310,8 @@ def has_type(value: Any, kind: Any) -> bool:
 
 
 def sound_part(file: Path, record: Mapping[str, Any]) -> tuple[dict[str, Any], tuple[str, ...]]:
-    """Return a record without the keys whose values have a wrong type, and a warning for each removed key."""
-    kinds = {**COMMON, **TYPES.get(file.name, {})}
+    """Return a record without the keys whose values have a wrong type, and a warning for each."""
+    kinds = {**COMMON_KEY_TYPES, **FILE_KEY_TYPES.get(file.name, {})}
     wrong = [key for key, kind in kinds.items() if key in record and not has_type(record[key], kind)]
     cure = "has a value of a wrong type and is not used: run it again, or correct the file"
     return {k: v for k, v in record.items() if k not in wrong}, tuple(f"{file}: {key} {cure}" for key in wrong)

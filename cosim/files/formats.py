@@ -25,17 +25,17 @@ from cosim.core.drafts import draft_of
 from cosim.core.errors import Fault, InputError
 from cosim.core.extras import optional
 from cosim.core.text import counted, join_names
-from cosim.files.csv_source import MOST_BYTES, cells_of
+from cosim.files.csv_source import MAX_TABLE_BYTES, cells_of
 from cosim.files.files import open_bytes
 from cosim.files.table import Column, Source, Table, as_text, is_time, plain_numbers, split_heading, table_by_time
 
-MAGIC = b"PAR1"  # first and last bytes of every Parquet file
+PARQUET_MAGIC = b"PAR1"  # first and last bytes of every Parquet file
 UNIT = b"unit"  # key of a column's metadata
 PANDAS = b"pandas"  # key of the metadata that pandas writes, in JSON
-UNNAMED = re.compile(r"__index_level_\d+__")  # pandas' name of an index without a name
-NO_NAME = (
-    "is a pandas index without a name: its whole numbers may count rows or seconds; if it is the time, "
-    "name it by `rename_axis('time')`, otherwise write a column time"
+UNNAMED = re.compile(r"__index_level_\d+__")  # name that pandas gives to an index without one
+UNNAMED_INDEX = (
+    "is an index of pandas without a name: its whole numbers may count rows or seconds; "
+    "name it by `rename_axis('time')`, or write a column time"
 )
 MOST_VALUES = 200_000_000  # numbers in a file, 1.6 GB in memory
 ROWS_A_GROUP = 65_536
@@ -46,7 +46,7 @@ class Parquet(Source):
 
     name = "Parquet"
     suffixes = (".parquet",)
-    magic = MAGIC
+    magic = PARQUET_MAGIC
     writes = True
 
     def read(self, path: Path, names: Container[str] = (), text: Collection[str] = ()) -> Table:
@@ -71,7 +71,7 @@ class Parquet(Source):
             found.append(_column(name, unit, content.column(k), is_text=name in text))
         if found and UNNAMED.fullmatch(found[0].name):  # an index of integers may contain row numbers
             is_whole = found[0].numeric and np.asarray(found[0].values).dtype.kind == "i"
-            found[0] = replace(found[0], name="time", unit="s", fault=NO_NAME if is_whole else found[0].fault)
+            found[0] = replace(found[0], name="time", unit="s", fault=UNNAMED_INDEX if is_whole else found[0].fault)
         return Table(found)
 
     def column_names(self, path: Path) -> list[str]:
@@ -318,13 +318,13 @@ class Excel(Source):
         try:
             with ZipFile(path) as parts:
                 size = sum(part.file_size for part in parts.infolist())
-            book = openpyxl.load_workbook(path, read_only=True, data_only=True) if size <= MOST_BYTES else None
+            book = openpyxl.load_workbook(path, read_only=True, data_only=True) if size <= MAX_TABLE_BYTES else None
             sheets = {sheet.title: [*sheet.iter_rows(values_only=True)] for sheet in book.worksheets} if book else {}
         except Exception as error:  # openpyxl reports damage by many kinds of errors
             reason = str(error)[:200]
             raise InputError.at(path, f"is an incomplete or invalid workbook: {reason}; save it again") from None
         if book is None:
-            limit = f"the limit is {MOST_BYTES / 1e6:.0f} MB; write Parquet"
+            limit = f"the limit is {MAX_TABLE_BYTES / 1e6:.0f} MB; write Parquet"
             raise InputError.at(path, f"unpacks to {size / 1e6:.0f} MB; {limit}")
         book.close()
         tables = []
@@ -376,7 +376,7 @@ class Mdf(Source):
         if not rasters:
             return Table()
         time = np.unique(np.concatenate([*rasters.values()]))
-        if 8 * time.size * len(signals) > MOST_BYTES:
+        if 8 * time.size * len(signals) > MAX_TABLE_BYTES:
             million = f"{time.size * len(signals) / 1e6:.0f} million values"
             raise InputError.at(path, f"has {million}, above the limit; export fewer channels")
         places = {key: np.searchsorted(time, raster) for key, raster in rasters.items()}

@@ -14,11 +14,11 @@ from cosim.files.files import open_bytes
 from cosim.files.table import sources, suffixes
 from cosim.files.yaml_file import YamlFile
 
-WRITTEN = {".yaml", ".yml", ".json"}  # suffixes of files whose kind depends on their keys
+KEYED_ENDINGS = {".yaml", ".yml", ".json"}  # endings for which the keys decide the kind
 ROW = re.compile(r"\s*[-+]?[\d.]+(e[-+]?\d+)?\s*([,;\t ]|$)", re.I)
-FIRST = re.compile(r'"?time\b|\w+:(\s|$)')
+TIME_COLUMN_OR_KEY = re.compile(r'"?time\b|\w+:(\s|$)')
 UTF_16 = b"\xff\xfe", b"\xfe\xff"
-HEAD = 1024  # examined bytes
+KIND_HEAD_BYTES = 1024  # examined bytes
 UNREAD = "no command reads it; `cosim --help` lists the commands and their files"
 
 
@@ -26,7 +26,7 @@ def kind_by_form(path: Path) -> str | None:
     """Return the kind of a file from its first bytes or ending; None if the kind depends on the keys."""
     head, ending = b"", path.suffix.lower()
     with suppress(OSError, ValueError), open_bytes(path) as stream:
-        head = stream.read(HEAD)
+        head = stream.read(KIND_HEAD_BYTES)
     text = head.decode("utf-8", errors="replace").lstrip("\ufeff")
     members: list[str] = []
     if head.startswith(b"PK") and ending not in {".fmu", ".ssp", *suffixes()}:  # Excel files are ZIP archives, too.
@@ -48,12 +48,13 @@ def kind_by_form(path: Path) -> str | None:
     for a in artefacts():
         if ending in a.endings:
             return a.kind
-    if b"\0" in head and ending not in WRITTEN and not head.startswith(UTF_16):
+    if b"\0" in head and ending not in KEYED_ENDINGS and not head.startswith(UTF_16):
         return BINARY
     lines = [line for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#")]
     begin, *rows = lines or [""]
-    is_tabular = any(map(ROW.match, rows)) or FIRST.match(begin)  # a row of numbers, a column name or a key
-    return TEXT if head and ending not in WRITTEN and not is_tabular else None
+    # a row of numbers, a column name or a key
+    is_tabular = any(map(ROW.match, rows)) or TIME_COLUMN_OR_KEY.match(begin)
+    return TEXT if head and ending not in KEYED_ENDINGS and not is_tabular else None
 
 
 def next_step(kind: str, path: Path) -> str:
@@ -63,8 +64,8 @@ def next_step(kind: str, path: Path) -> str:
 
 
 def kind_of(path: Path) -> str | None:
-    """Return the kind of a file, from its first bytes, suffix or keys; None if unknown."""
-    return kind_by_form(path) or (_by_keys(path) if path.suffix.lower() in WRITTEN else None)
+    """Return the kind of a file by form or keys; None if unknown."""
+    return kind_by_form(path) or (_by_keys(path) if path.suffix.lower() in KEYED_ENDINGS else None)
 
 
 def _by_keys(path: Path) -> str | None:

@@ -28,8 +28,8 @@ from cosim.files.table import (
     time_scale,
 )
 
-EXACT = 2**53  # integers below this size are exact as doubles
-INTEGER = re.compile(r"0|-?[1-9]\d{0,19}")
+EXACT_INTEGER_LIMIT = 2**53  # integers below this size are exact as doubles
+INTEGER_TEXT = re.compile(r"0|-?[1-9]\d{0,19}")
 
 
 @dataclass(frozen=True)
@@ -76,7 +76,7 @@ class Results:
         """Return results whose `values` also have the 64-bit integers of `exact`, rounded to doubles."""
         found: dict[str, Array] = {}
         for name, values in self.exact.items():
-            is_whole = (INTEGER.fullmatch(v) if isinstance(v, str) else type(v) is int for v in values)
+            is_whole = (INTEGER_TEXT.fullmatch(v) if isinstance(v, str) else type(v) is int for v in values)
             if name not in self.words and len(values) and all(is_whole):
                 found[name] = np.array([float(int(value)) for value in values])
         if not found:
@@ -103,8 +103,8 @@ class Results:
 
 
 def is_rounded(values: Any) -> bool:
-    """Return True if an array has integers, perhaps stored as doubles, that are too large to be exact as doubles."""
-    return bool(values.size) and bool(values.max() >= EXACT or values.min() <= -EXACT)
+    """Return True if integers, perhaps stored as doubles, are too large for exact doubles."""
+    return bool(values.size) and bool(values.max() >= EXACT_INTEGER_LIMIT or values.min() <= -EXACT_INTEGER_LIMIT)
 
 
 # -- reading results ------------------------------------------------------------------------------------

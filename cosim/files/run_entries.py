@@ -21,9 +21,9 @@ from cosim.core.text import amount, did_you_mean, is_difference, showing, some
 from cosim.core.version import __version__
 from cosim.files.artefact import artefacts
 from cosim.files.folders import (
-    COMMAND,
+    COMMAND_KEY,
     INTERRUPTED,
-    RESULTS,
+    RESULTS_FOLDER,
     RUN_NUMBER,
     SCHEMA_VERSION,
     STARTED,
@@ -38,11 +38,11 @@ from cosim.files.run_inputs import changes_between, input_leaves, input_text, sh
 
 OUTCOMES = ("verdict", "status", "sentence")  # keys of a record that may contain the outcome
 UNFINISHED, DAMAGED, ROWS_ONLY = "unfinished", "damaged record", "rows without a record"
-NO_ROWS = "rows are gone"
-MOST_CHANGES = 3  # changed inputs named in a text
+ROWS_GONE = "rows are gone"
+MOST_CHANGES = 3  # in a text
 DAY = 86_400.0  # [s]
-DEEPEST = 6  # levels of folders below the folder of results: results/a/b/c/d/runs/0001
-NUMBERS = ".run-numbers"  # file; its line k is the name of the results with number k, and lines are only added
+MAX_FOLDER_DEPTH = 6  # levels of folders below the folder of results: results/a/b/c/d/runs/0001
+RUN_NUMBERS_FILE = ".run-numbers"  # line k has the name of the results with the number k; lines are only added
 
 
 @dataclass(frozen=True)
@@ -123,7 +123,7 @@ def entries(results: Path | None = None) -> list[Entry]:
     Args:
         results: Folder of results, by default `results`.
     """
-    root = RESULTS if results is None else results
+    root = RESULTS_FOLDER if results is None else results
     by_name: dict[str, list[tuple[Entry, Mapping[str, Any]]]] = {}
     for entry, content in _results_within(root, Path(root.resolve().name), 0):
         by_name.setdefault(entry.of, []).append((entry, content))
@@ -139,9 +139,9 @@ def entries(results: Path | None = None) -> list[Entry]:
     every.sort(key=lambda entry: (entry.time, entry.name))
     lines = [entry.name.replace("\n", "\0") for entry in every]
     known = _numbered_lines(root)
-    if new := [line for line in lines if line not in known]:  # The new names get the next numbers, in this order.
-        with suppress(OSError):  # If several commands add lines at the same time, the first line of a name counts.
-            with (root / NUMBERS).open("a", encoding="utf-8", errors="surrogateescape") as stream:
+    if new := [line for line in lines if line not in known]:  # They get the next numbers, in their order.
+        with suppress(OSError):  # Commands that add lines at the same time agree: the first line of a name counts.
+            with (root / RUN_NUMBERS_FILE).open("a", encoding="utf-8", errors="surrogateescape") as stream:
                 stream.write("".join(f"{line}\n" for line in new))
             known = _numbered_lines(root)
         for line in new:  # if the file cannot be written
@@ -165,7 +165,7 @@ def _results_within(place: Path, name: Path, depth: int) -> Iterator[tuple[Entry
     if found is not None:
         yield found
         parts = {"figures", *(folder for a in artefacts() if a.verb for folder in a.folders)}
-    for inner, item in sorted(items.items() if depth < DEEPEST else ()):
+    for inner, item in sorted(items.items() if depth < MAX_FOLDER_DEPTH else ()):
         if inner not in parts and not inner.startswith(".") and item.is_dir(follow_symlinks=False):
             is_run = depth == 0 and RUN_NUMBER.fullmatch(inner)
             yield from _results_within(place / inner, name / inner if depth or is_run else Path(inner), depth + 1)
@@ -188,7 +188,7 @@ def _recorded(place: Path, name: Path, items: Mapping[str, os.DirEntry[str]]) ->
         if not outcome and artefact is not None and mark in artefact.unfinished:
             outcome = UNFINISHED
         elif not outcome and artefact is not None and artefact.tables and content.get("rows") and not has_rows:
-            outcome = NO_ROWS
+            outcome = ROWS_GONE
         outcome = outcome or _outcome(content) or (DAMAGED if warnings or not read else "")
         if "no_report" in content and "report.html" not in items:
             outcome += f", no report: {content['no_report']}"
@@ -210,7 +210,7 @@ def _recorded(place: Path, name: Path, items: Mapping[str, os.DirEntry[str]]) ->
         name=name.as_posix(),
         of=of.as_posix(),
         folder=place,
-        verb=content.get(COMMAND, artefact.verb if artefact else "").removeprefix("cosim "),
+        verb=content.get(COMMAND_KEY, artefact.verb if artefact else "").removeprefix("cosim "),
         time=record.stat().st_mtime,
         outcome=outcome,
         changes={},
@@ -246,7 +246,7 @@ def _judged(content: Mapping[str, Any]) -> tuple[Mapping[str, Any], ...]:
 def _numbered_lines(root: Path) -> dict[str, int]:
     """Return name → number of all results that were ever listed, ordered by number."""
     try:
-        lines = (root / NUMBERS).read_text(encoding="utf-8", errors="surrogateescape").split("\n")
+        lines = (root / RUN_NUMBERS_FILE).read_text(encoding="utf-8", errors="surrogateescape").split("\n")
     except OSError:
         return {}
     known: dict[str, int] = {}
@@ -297,7 +297,7 @@ def select_groups(texts: Sequence[str], results: Path | None = None) -> list[lis
     Raises:
         InputError: A text selects no results; every such text is reported.
     """
-    root = RESULTS if results is None else results
+    root = RESULTS_FOLDER if results is None else results
     inside = root.resolve() if root.is_dir() else None
     is_entry = (not Path(text).is_file() or inside in Path(text).resolve().parents for text in texts)
     every = entries(root) if any(is_entry) else []
@@ -330,7 +330,7 @@ def find_entries(texts: Sequence[str] | None, results: Path) -> list[Entry]:
     Raises:
         InputError: A text matches no entry, or a folder other than the default does not exist.
     """
-    if results != RESULTS and not results.is_dir():
+    if results != RESULTS_FOLDER and not results.is_dir():
         raise InputError.at(results, "no such folder; give the folder of the results as --results")
     every = entries(results)
     if not texts:
@@ -344,7 +344,7 @@ def find_entries(texts: Sequence[str] | None, results: Path) -> list[Entry]:
     return [*found.values()]
 
 
-def match_entries(text: str, every: Sequence[Entry], root: Path = RESULTS) -> list[Entry]:
+def match_entries(text: str, every: Sequence[Entry], root: Path = RESULTS_FOLDER) -> list[Entry]:
     """Return the entries selected by a name, a number, a pattern or a subfolder of the folder of results.
 
     A name that several runs share selects the newest run.

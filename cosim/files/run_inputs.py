@@ -6,13 +6,14 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-OWN = ("fmu", "log", "logs", "sealed", "start", "given", "study", "sweep", "a", "b", "tolerance")  # of other verbs
-UNCHANGED = {"sha256", "name", "description"}  # keys of a scenario that are not inputs
+# keys of records without a scenario
+RECORD_KEYS = ("fmu", "log", "logs", "sealed", "start", "given", "study", "sweep", "a", "b", "tolerance")
+IGNORED_KEYS = {"sha256", "name", "description"}  # keys of a scenario that are no inputs
 PARAMETER, FMU, SCENARIO, SEED, VERSION = "parameter", "FMU", "scenario", "seed", "version"
-KINDS = (PARAMETER, SCENARIO, FMU, SEED, VERSION)  # order of kinds in labels and tables
-MOST_IN_LABEL = 3  # inputs named in a label
-DIGITS = 12  # shown digits of a SHA-256
-LONGEST = 24  # characters of a value in a label
+INPUT_KINDS = (PARAMETER, SCENARIO, FMU, SEED, VERSION)  # the order of a label and of a table
+MOST_IN_LABEL = 3  # inputs
+HASH_DIGITS = 12  # of a SHA-256
+MAX_LABEL_CHARACTERS = 24  # characters of a value in a label
 
 
 @dataclass(frozen=True)
@@ -32,7 +33,10 @@ class DifferingInput:
 def input_leaves(record: Mapping[str, Any]) -> dict[str, Any]:
     """Return the inputs in a command's record (scenario, files and settings) as path → value."""
     scenario = record.get("scenario")
-    tree = {**(scenario if isinstance(scenario, dict) else {}), **{key: record[key] for key in OWN if key in record}}
+    tree = {
+        **(scenario if isinstance(scenario, dict) else {}),
+        **{key: record[key] for key in RECORD_KEYS if key in record},
+    }
     return dict(_leaves(tree, ""))
 
 
@@ -40,7 +44,7 @@ def _leaves(value: Any, place: str) -> Iterator[tuple[str, Any]]:
     """Yield the path and value of each scalar, and of each list of scalars, in a nested value."""
     if isinstance(value, dict):
         for key, each in value.items():
-            if isinstance(each, (dict, list)) or key not in UNCHANGED:
+            if isinstance(each, (dict, list)) or key not in IGNORED_KEYS:
                 yield from _leaves(each, f"{place}.{key}" if place else key)
     elif isinstance(value, list) and any(isinstance(each, (dict, list)) for each in value):
         for number, each in enumerate(value):
@@ -73,7 +77,7 @@ def differing_inputs(records: Sequence[Mapping[str, Any]]) -> list[DifferingInpu
             each if isinstance(each := record.get(k), dict) else {} for k in ("fmus", "versions", "git")
         )
         for name, fmu in fmus.items():
-            found[FMU, f"{name}.sha256"] = str(fmu.get("sha256", "") if isinstance(fmu, dict) else "")[:DIGITS]
+            found[FMU, f"{name}.sha256"] = str(fmu.get("sha256", "") if isinstance(fmu, dict) else "")[:HASH_DIGITS]
         versions = {"cosim": record.get("cosim_version"), **versions, "cosim revision": git.get("revision")}
         if found:
             found |= {(VERSION, name): text for name, text in versions.items() if text is not None}
@@ -82,7 +86,7 @@ def differing_inputs(records: Sequence[Mapping[str, Any]]) -> list[DifferingInpu
     names = dict.fromkeys(name for each in recorded for name in each)
     differing = [name for name in names if any(each.get(name) != recorded[0].get(name) for each in recorded)]
     rows = [DifferingInput(*name, tuple(each.get(name) for each in inputs)) for name in differing]
-    return sorted(rows, key=lambda row: KINDS.index(row.kind))
+    return sorted(rows, key=lambda row: INPUT_KINDS.index(row.kind))
 
 
 def labels_of(
@@ -110,7 +114,7 @@ def labels_of(
         values = [input_text(row.values[k]) for row in rows]
         shorts = [v.rpartition("/")[2] if v.startswith("/") else v for v in values]  # file names instead of paths
         texts = [
-            f"{row.name} = {v if len(v) <= LONGEST else f'{v[: LONGEST - 1]}…'}"
+            f"{row.name} = {v if len(v) <= MAX_LABEL_CHARACTERS else f'{v[: MAX_LABEL_CHARACTERS - 1]}…'}"
             for row, v in zip(rows, shorts, strict=True)
         ]
         labels.append(f"{name} ({', '.join(texts)})" if texts else (longer or names)[k])

@@ -15,8 +15,8 @@ from typing import Any
 
 from cosim.core.drafts import draft_of
 
-MAGIC = b"cosim state 2\n"
-BLOB = "blob"  # key under which JSON contains bytes
+STATE_FILE_MAGIC = b"cosim state 2\n"
+BLOB = "blob"  # key of bytes
 
 
 class BadState(ValueError):
@@ -26,14 +26,14 @@ class BadState(ValueError):
 def pack(content: Any) -> bytes:
     """Return the bytes of a state file with this content."""
     text = json.dumps(content, default=lambda value: {BLOB: b64encode(value).decode()}).encode()
-    return MAGIC + hashlib.sha256(text).hexdigest().encode() + b"\n" + text
+    return STATE_FILE_MAGIC + hashlib.sha256(text).hexdigest().encode() + b"\n" + text
 
 
 def unpack(data: bytes) -> Any:
-    """Return the content of a state file from its bytes; raise BadState if they are damaged."""
-    if not data.startswith(MAGIC):
+    """Return the values; raise BadState if damaged."""
+    if not data.startswith(STATE_FILE_MAGIC):
         raise BadState("it is not a state file of this version")
-    digest, _, text = data[len(MAGIC) :].partition(b"\n")
+    digest, _, text = data[len(STATE_FILE_MAGIC) :].partition(b"\n")
     if hashlib.sha256(text).hexdigest().encode() != digest:
         raise BadState("its SHA-256 differs from its content: it is incomplete or was changed")
     return json.loads(text, object_hook=lambda item: b64decode(item[BLOB]) if item.keys() == {BLOB} else item)

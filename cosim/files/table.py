@@ -22,12 +22,12 @@ import numpy as np
 
 from cosim.core.arrays import Array, Rows
 from cosim.core.errors import Fault, InputError, refuse
-from cosim.core.registry import SOURCES, registered, resolve
+from cosim.core.registry import SOURCES_GROUP, registered, resolve
 from cosim.core.text import counted, did_you_mean
 from cosim.core.units import alternatives, factor
 from cosim.files.files import open_bytes
 
-OWN = (
+OWN_FORMATS = (
     "cosim.files.csv_source:CSV",
     "cosim.files.formats:PARQUET",
     "cosim.files.formats:MAT",
@@ -35,11 +35,11 @@ OWN = (
     "cosim.files.formats:EXCEL",
     "cosim.files.formats:MDF",
 )
-HEAD = 64  # bytes examined to detect a format
-SHOWN_FAULTS = 20  # largest number of faults shown for a file; further ones are counted
+FORMAT_HEAD_BYTES = 64  # bytes examined to detect a format
+SHOWN_FAULTS = 20  # faults that are shown for a file; the rest are counted
 MOST_TIME = math.sqrt(sys.float_info.max)  # [s] largest time whose square is a double
 FLOAT_RESOLUTION_S = 1e-6  # spacing of doubles from which equal times are due to their size
-TIMES = {  # other usual names of the time column
+TIME_NAMES = {  # other usual names of the time
     *("t", "timestamp", "time stamp", "time_stamp", "datetime", "date time", "date", "elapsed", "seconds"),
     *("zeit", "zeitstempel", "datum", "temps", "tiempo", "tempo", "tijd"),
 }
@@ -306,7 +306,7 @@ def time_first(table: Table, faults: Faults, named: Collection[str], signals: Co
     assumed = list(table.assumed)
     exact = [c for c in columns if c.name in named] or [c for c in columns if is_time(c.name)]
     others = [c for c in columns if c.name not in signals]
-    usual = [c for c in others if c.name.casefold() in TIMES]
+    usual = [c for c in others if c.name.casefold() in TIME_NAMES]
     if named and not any(c.name in named for c in columns):
         (wanted, *_), known = named, [c.name for c in columns]
         message = f'has no column "{wanted}"{did_you_mean(wanted, known)} for the time'
@@ -569,9 +569,9 @@ def as_text(value: Any) -> str:
 
 @functools.cache
 def sources() -> tuple[Source, ...]:
-    """Return all table formats, those of installed packages last."""
-    own = [resolve(place) for place in OWN]
-    return (*own, *(source for _, source in registered(SOURCES, Source)))
+    """Return the formats, installed packages last."""
+    own = [resolve(place) for place in OWN_FORMATS]
+    return (*own, *(source for _, source in registered(SOURCES_GROUP, Source)))
 
 
 def suffixes() -> tuple[str, ...]:
@@ -589,7 +589,7 @@ def source_of(path: Path) -> Source:
     """
     head = b""
     with suppress(OSError, ValueError), open_bytes(path) as stream:
-        head = stream.read(HEAD)
+        head = stream.read(FORMAT_HEAD_BYTES)
     by_suffix = [s for s in sources() if path.suffix.lower() in s.suffixes][:1]
     if by_head := [s for s in (*by_suffix, *sources()) if s.magic and head.startswith(s.magic)]:
         return by_head[0]

@@ -33,24 +33,23 @@ from ruamel.yaml.error import YAMLError
 from ruamel.yaml.nodes import ScalarNode
 
 from cosim.core.errors import Fault, InputError
-from cosim.core.settings import reason_of
+from cosim.core.settings import MAX_NESTING, reason_of
 from cosim.core.text import closest, did_you_mean
 from cosim.core.units import has_unit, number_in, read_quantity
 from cosim.files.files import open_bytes
 
-DEEPEST = 60  # levels of nesting
-LONG = 20_000  # text length [characters] above which the faster parser is worth loading
-# Characters on which the two parsers disagree: directives, tabs, byte order marks and Unicode line ends.
-APART = re.compile("^%|[\\t\\x85\\u2028\\u2029\\ufeff]", re.MULTILINE)
+LONG = 20_000  # text length from which loading another parser pays off
+# Directives, tabs, byte order marks and Unicode line ends, on which the parsers disagree.
+PARSERS_DISAGREE = re.compile("^%|[\\t\\x85\\u2028\\u2029\\ufeff]", re.MULTILINE)
 MOST_YAML = 800_000  # text length [characters] readable within seconds
 MOST_MARKS = 100_000  # commas, colons and lines of YAML, which determine the time to read a file
 MOST_PARTS = 400_000  # keys and values after expanding aliases
-MERGE, TAG = "<<", "tag:yaml.org,2002:"
-TOO_DEEP = f"is nested more than {DEEPEST} levels deep; use fewer levels"
+MERGE_KEY, TAG_PREFIX = "<<", "tag:yaml.org,2002:"
+TOO_DEEP = f"is nested more than {MAX_NESTING} levels deep; use fewer levels"
 SCALARS = {"null", "bool", "int", "float", "str", "timestamp", "merge", "value"}  # tags
 Location = tuple[str | int, ...]
 Place = tuple[int, int]
-UNKNOWN: Place = (0, 0)
+UNKNOWN_PLACE: Place = (0, 0)
 CONSTRUCTOR: Any = YAML(typ="safe", pure=True).constructor
 Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 Positive = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0)]
@@ -91,9 +90,9 @@ Amount = Annotated[Number, UNIT_OF_KEY]
 PositiveAmount = Annotated[Positive, UNIT_OF_KEY]
 NotNegativeAmount = Annotated[NotNegative, UNIT_OF_KEY]
 
-MOST_BYTES = 8_000_000  # size of a file [bytes]
+MAX_YAML_BYTES = 8_000_000  # size of a file [bytes]
 MOST_FAULTS = 200  # reported faults per file
-LONGEST = 80  # shown characters of a name or value
+MAX_SHOWN_CHARACTERS = 80  # shown characters of a name or value
 M = TypeVar("M", bound=BaseModel)
 Origin = Callable[[Location, str, int], Fault]
 Remove = Callable[[dict[Any, Any], Sequence[tuple[Location, str]]], None]  # from data, by place and kind of fault
@@ -256,9 +255,9 @@ def _text(path: Path) -> str:
     """Return a file's text; raise InputError if unreadable."""
     try:
         with open_bytes(path) as stream:
-            content = stream.read(MOST_BYTES + 1)
-        if len(content) > MOST_BYTES:
-            limit = f"the limit of {MOST_BYTES / 1e6:.0f} MB; make it shorter"
+            content = stream.read(MAX_YAML_BYTES + 1)
+        if len(content) > MAX_YAML_BYTES:
+            limit = f"the limit of {MAX_YAML_BYTES / 1e6:.0f} MB; make it shorter"
             raise InputError.at(path, f"has {path.stat().st_size / 1e6:.0f} MB, more than {limit}")
         return content.decode()
     except UnicodeDecodeError:
@@ -275,7 +274,7 @@ def format_value(value: Any) -> str:
     """Return a value as written in a YAML file, shortened if long."""
     if isinstance(value, (str, float)):
         return repr(short(value) if isinstance(value, str) else value)
-    if isinstance(value, int) and abs(value) >= 10**LONGEST:
+    if isinstance(value, int) and abs(value) >= 10**MAX_SHOWN_CHARACTERS:
         return "a very large number"
     if value is None or isinstance(value, int):
         return "empty" if value is None else str(value).lower()
@@ -287,7 +286,7 @@ def format_value(value: Any) -> str:
 def short(text: object) -> str:
     """Return a text shortened for a message."""
     whole = str(text)
-    return whole if len(whole) <= LONGEST else f"{whole[: LONGEST - 1]}…"
+    return whole if len(whole) <= MAX_SHOWN_CHARACTERS else f"{whole[: MAX_SHOWN_CHARACTERS - 1]}…"
 
 
 REMOVED_KEYS: dict[str, str] = {  # key of earlier versions → what to use instead
@@ -390,7 +389,7 @@ def _libyaml() -> Any:
 
         def descend_resolver(self, *_: Any) -> None:
             self.depth += 1
-            if self.depth > 2 * DEEPEST:
+            if self.depth > 2 * MAX_NESTING:
                 raise RecursionError
 
         def ascend_resolver(self) -> None:
@@ -435,7 +434,7 @@ class Document:
         The node of an empty document is None.
         """
         text = self._text
-        if len(text) >= LONG and not APART.search(text) and (parser := _libyaml()) is not None:
+        if len(text) >= LONG and not PARSERS_DISAGREE.search(text) and (parser := _libyaml()) is not None:
             with suppress(Exception):  # ruamel.yaml explains errors better than libyaml.
                 return parser(text).get_single_node()
         try:
@@ -452,17 +451,17 @@ class Document:
     def place(self, location: Location, key: bool = False) -> Place:
         """Return line and column of the part at a location, or of the nearest enclosing part.
 
-        The result is UNKNOWN for JSON that is too large to search or is not valid YAML.
+        The result is UNKNOWN_PLACE for JSON that is too large to search or no YAML.
 
         Args:
             key: Return the place of the key instead of the value.
         """
         if self._is_json and self._is_large:
-            return UNKNOWN
+            return UNKNOWN_PLACE
         try:
             node, place = self._root, None
         except NotYaml:
-            return UNKNOWN
+            return UNKNOWN_PLACE
         for depth, step in enumerate(location, 1):
             is_last = depth == len(location)
             if node.id == "mapping" and step in (pairs := _pairs(node)):
@@ -484,15 +483,15 @@ class Document:
                 f"has more than {MOST_PARTS} values when its aliases are expanded; use fewer values or aliases",
                 node.start_mark,
             )
-        if depth > DEEPEST:
+        if depth > MAX_NESTING:
             raise NotYaml(TOO_DEEP, node.start_mark)
-        kind = str(node.tag).removeprefix(TAG)
+        kind = str(node.tag).removeprefix(TAG_PREFIX)
         if node.id == "mapping" and kind in {"map", "None"}:
             return {key: self._value(value, depth + 1) for key, (_, value) in _pairs(node).items()}
         if node.id == "sequence" and kind in {"seq", "None"}:
             return [self._value(value, depth + 1) for value in node.value]
         if node.id != "scalar" or kind not in SCALARS:
-            tag = str(node.tag).replace(TAG, "!!")[:60]
+            tag = str(node.tag).replace(TAG_PREFIX, "!!")[:60]
             raise NotYaml(f'the tag "{tag}" is not supported; remove it', node.start_mark)
         text = _text_of(node)
         if kind == "null":
@@ -523,7 +522,7 @@ def _pairs(node: Any) -> dict[str, tuple[Any, Any]]:
     for key, value in entries:
         if key.id != "scalar":
             raise NotYaml("a list or mapping is used as a key; use text", key.start_mark)
-        if key.value == MERGE and not key.style:
+        if key.value == MERGE_KEY and not key.style:
             for other in value.value if value.id == "sequence" else [value]:
                 if other.id != "mapping":
                     raise NotYaml("only a mapping, or a list of mappings, can be merged", value.start_mark)

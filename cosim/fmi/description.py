@@ -13,16 +13,16 @@ from xml.etree import ElementTree
 
 from cosim.core.errors import FmuError
 from cosim.core.units import SI
-from cosim.files.archive import SHOWN, BadArchive, check_archive, description_of
-from cosim.fmi.fmi_types import element_names
+from cosim.files.archive import MAX_MEMBER_CHARACTERS, BadArchive, check_archive, description_of
+from cosim.fmi.fmi_types import DOUBLE_TYPES, element_names
 
 # form of pythonfmu's exceptions
 WRAPPED = re.compile(r"Fatal py exception encountered: \[\w+\] \w+ (?P<kind>\w+)\((?P<text>.*?),?\)$")
-SECTIONS = ("UnitDefinitions", "TypeDefinitions", "DefaultExperiment", "ModelVariables")
-NUMBERS = {"startTime", "stopTime", "stepSize", "tolerance", "min", "max", *SI, "factor", "offset"}  # attributes
+NUMBER_SECTIONS = ("UnitDefinitions", "TypeDefinitions", "DefaultExperiment", "ModelVariables")
+NUMBER_ATTRIBUTES = {"startTime", "stopTime", "stepSize", "tolerance", "min", "max", *SI, "factor", "offset"}
 _WORD = r"[A-Za-z_][A-Za-z_0-9]*(\[[0-9]+(,[0-9]+)*\])?"
 PLAIN_NAME = re.compile(rf"{_WORD}(\.{_WORD})*")  # characters allowed by every naming convention
-PLAIN = ("RuntimeError", "ValueError", "ArithmeticError", "Exception")
+PLAIN_ERRORS = ("RuntimeError", "ValueError", "ArithmeticError", "Exception")
 
 
 # -- protection against harmful or malformed FMUs --------------------------------------------------
@@ -40,12 +40,12 @@ def reason_of(error: Exception) -> str:
 def check_numbers(path: Path, version: str) -> None:
     """Raise FmuError for text in place of a number; needed only for descriptions with schema violations."""
     root = ElementTree.fromstring(description_of(path))
-    for node in (node for section in SECTIONS for part in root.iterfind(section) for node in part.iter()):
+    for node in (node for section in NUMBER_SECTIONS for part in root.iterfind(section) for node in part.iter()):
         is_start = version == "1.0" and node.tag in {"Real", "Integer", "Enumeration"}
         for name, text in node.attrib.items():
             kind = int if (node.tag, name) == ("Item", "value") else float
             try:
-                if text and (kind is int or name in NUMBERS or (is_start and name == "start")):
+                if text and (kind is int or name in NUMBER_ATTRIBUTES or (is_start and name == "start")):
                     kind(text)
             except ValueError:
                 place = f'{name} of {node.tag} {node.get("name", "")} is "{text[:60]}"'
@@ -59,7 +59,7 @@ def without_wrapping(words: str) -> str:
     if match is None:
         return words
     kind, text = match["kind"], match["text"].strip("'\"")
-    return re.sub(r"^(Runtime|Value|Arithmetic)Error: ", "", text if kind in PLAIN else f"{kind}: {text}")
+    return re.sub(r"^(Runtime|Value|Arithmetic)Error: ", "", text if kind in PLAIN_ERRORS else f"{kind}: {text}")
 
 
 def validation(path: Path, description: Any) -> list[str]:
@@ -78,18 +78,17 @@ def validation(path: Path, description: Any) -> list[str]:
     return []
 
 
-REALS = ("Real", "Float64")
-
 Way = Literal["co-simulation", "model-exchange", "scheduled-execution"]
-PARTS: dict[Way, str] = {
+INTERFACE_ATTRIBUTES: dict[Way, str] = {
     "co-simulation": "coSimulation",
     "model-exchange": "modelExchange",
     "scheduled-execution": "scheduledExecution",
 }  # of FMPy's description
-PLATFORMS, SOURCES = "binaries/", "sources/"
-LIBRARIES, C, CPP = (".so", ".dll", ".dylib"), (".c",), (".cpp", ".cc", ".cxx", ".c++")  # file endings
+BINARIES_PREFIX, SOURCES_PREFIX = "binaries/", "sources/"
+LIBRARY_ENDINGS = (".so", ".dll", ".dylib")
+C_ENDINGS, CPP_ENDINGS = (".c",), (".cpp", ".cc", ".cxx", ".c++")
 C_CODE = "c-code"  # name of the source platform in FMI
-MOST_ELEMENTS = 1_000_000  # elements of an array; each gets a name
+MAX_ARRAY_ELEMENTS = 1_000_000  # elements of an array; each gets a name
 _slips: WeakKeyDictionary[Any, tuple[str, ...]] = WeakKeyDictionary()
 
 
@@ -124,13 +123,13 @@ def read_description(path: Path) -> Any:
         name = str(part.modelIdentifier)
         if part.modelIdentifier is None or not re.fullmatch(r"[^/\\\x00-\x1f:]+", name) or name in {".", ".."}:
             # a library name that may lead outside the FMU
-            raise FmuError(f'{invalid} modelIdentifier "{name[:SHOWN]}" is not a file name')
+            raise FmuError(f'{invalid} modelIdentifier "{name[:MAX_MEMBER_CHARACTERS]}" is not a file name')
     if slips:
         check_numbers(path, description.fmiVersion)
     for variable in description.modelVariables:
-        if variable.shape and not 0 <= math.prod(variable.shape) <= MOST_ELEMENTS:
+        if variable.shape and not 0 <= math.prod(variable.shape) <= MAX_ARRAY_ELEMENTS:
             size = "×".join(map(str, variable.shape))
-            raise FmuError(f"{invalid} array {variable.name} is {size}, not 0 … {MOST_ELEMENTS:g} elements")
+            raise FmuError(f"{invalid} array {variable.name} is {size}, not 0 … {MAX_ARRAY_ELEMENTS:g} elements")
     if not ways(description):
         raise FmuError(
             f"{path} is FMI {description.fmiVersion}, without a supported interface: FMI 1.0, 2.0 and 3.0 for "
@@ -157,7 +156,7 @@ def ways(description: Any) -> tuple[Way, ...]:
     version = description.fmiVersion
     if version not in {"1.0", "2.0", "3.0"} and not version.startswith("3.0."):
         return ()
-    return tuple(way for way, part in PARTS.items() if getattr(description, part) is not None)
+    return tuple(way for way, part in INTERFACE_ATTRIBUTES.items() if getattr(description, part) is not None)
 
 
 def state_names(description: Any) -> list[str]:
@@ -194,10 +193,10 @@ def platform_of(description: Any) -> str:
 
 
 def platforms_among(names: Sequence[str]) -> list[str]:
-    """Return the platforms of an FMU by its file names. `c-code`, for C or C++ sources, is last."""
-    parts = (n.removeprefix(PLATFORMS).partition("/") for n in names if n.startswith(PLATFORMS))
-    platforms = {platform for platform, _, file in parts if file.endswith(LIBRARIES)}
-    sources = any(n.startswith(SOURCES) and n.lower().endswith((*C, *CPP)) for n in names)
+    """Return the platforms of an FMU by its file names. The list ends with `c-code` if C or C++ sources exist."""
+    parts = (n.removeprefix(BINARIES_PREFIX).partition("/") for n in names if n.startswith(BINARIES_PREFIX))
+    platforms = {platform for platform, _, file in parts if file.endswith(LIBRARY_ENDINGS)}
+    sources = any(n.startswith(SOURCES_PREFIX) and n.lower().endswith((*C_ENDINGS, *CPP_ENDINGS)) for n in names)
     return [*sorted(platforms), *([C_CODE] if sources else [])]
 
 
@@ -329,8 +328,8 @@ def name_states(path: Path, description: Any, references: Sequence[int]) -> None
 
 
 def reals(description: Any, causality: str) -> list[Any]:
-    """Return the variables of the real outputs or of the continuous real inputs, by `causality`."""
-    variables = [v for v in description.modelVariables if v.causality == causality and v.type in REALS]
+    """Return the real outputs or the continuous real inputs, by `causality`."""
+    variables = [v for v in description.modelVariables if v.causality == causality and v.type in DOUBLE_TYPES]
     return [v for v in variables if causality != "input" or v.variability in (None, "continuous")]
 
 

@@ -62,13 +62,13 @@ def _integer(bits: int, sign: str = "") -> FmiType:
     return FmiType(f"{sign}Int{bits}", ctype, 0 if sign else -high - 1, high, beside=bits == 64)
 
 
-TEXT, INTEGER = FmiType("String", ctypes.c_char_p, beside=True), replace(_integer(32), function="Integer")
+STRING_TYPE, INTEGER_TYPE = FmiType("String", ctypes.c_char_p, beside=True), replace(_integer(32), function="Integer")
 FMI2 = {
     "Real": FmiType("Real", ctypes.c_double),
-    "Integer": INTEGER,
-    "Enumeration": INTEGER,
+    "Integer": INTEGER_TYPE,
+    "Enumeration": INTEGER_TYPE,
     "Boolean": FmiType("Boolean", ctypes.c_int, 0, 1),
-    "String": TEXT,
+    "String": STRING_TYPE,
 }
 FMI1 = {**FMI2, "Boolean": FmiType("Boolean", ctypes.c_ubyte, 0, 1)}
 LARGEST_FLOAT32 = (2 - 2**-23) * 2.0**127
@@ -78,11 +78,13 @@ FMI3 = {
     **{f"{sign}Int{bits}": _integer(bits, sign) for sign in ("", "U") for bits in (8, 16, 32, 64)},
     "Enumeration": FmiType("Int64", ctypes.c_int64, -EXACT_IN_A_DOUBLE, EXACT_IN_A_DOUBLE),
     "Boolean": FmiType("Boolean", ctypes.c_bool, 0, 1),
-    "String": TEXT,
+    "String": STRING_TYPE,
     "Binary": FmiType("Binary", None, beside=True),
 }
+DOUBLE_TYPES = ("Real", "Float64")
+FLOAT_TYPES = (*DOUBLE_TYPES, "Float32")
 FAMILIES = {
-    **dict.fromkeys(("Real", "Float32", "Float64"), "real"),
+    **dict.fromkeys(FLOAT_TYPES, "real"),
     **dict.fromkeys(("Integer", *(k for k in FMI3 if "Int" in k), "Enumeration"), "whole"),
     "Boolean": "boolean",
     "String": "text",

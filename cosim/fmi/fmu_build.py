@@ -17,6 +17,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from cosim.core.drafts import draft_of
+from cosim.files.archive import ARCHIVE_DATE
 from cosim.fmi.model_description import ASSETS, Description, describe, documentation, model_text
 from cosim.fmi.ports import Value, model_ports, with_starts
 from cosim.model.model import Model
@@ -27,7 +28,6 @@ CARRIED_PACKAGES = ("cosim.model", "cosim.fmi")  # copied into FMUs; need no oth
 EXCLUDED_PACKAGE = "cosim.model.symbolic"  # not copied, because it is needed only while an FMU is built
 SCRIPT_MODULES = ("cosim.fmi.lifetime", "cosim.fmi.ports")  # imported by the script of pythonfmu
 OWN_MODULE = "own_model"  # module name of a user's model inside its FMU
-EPOCH = (1980, 1, 1, 0, 0, 0)
 
 
 @dataclass(frozen=True)
@@ -200,8 +200,8 @@ def _imports(source: bytes) -> Iterator[str]:
 
 
 def archive_member(name: str) -> zipfile.ZipInfo:
-    """Return the ZIP entry of a member, with a fixed date and fixed permissions for reproducible bytes."""
-    info = zipfile.ZipInfo(name, EPOCH)
+    """Return the ZIP entry of a member with a fixed date and fixed permissions."""
+    info = zipfile.ZipInfo(name, ARCHIVE_DATE)
     info.compress_type, info.external_attr = zipfile.ZIP_DEFLATED, 0o644 << 16
     return info
 

@@ -24,7 +24,7 @@ TOOL, AUTHOR, LICENCE = "cosim", "The cosim authors", "MIT"
 ASSETS = Path(__file__).resolve().parent / "assets"
 NEEDS = "<p>Integration: {method} in equal substeps of at most {substep:g} ms, with constant inputs.</p>"
 METHOD = {AUTO: "RK4", RK4: "RK4", STIFF: "RODAS, linearly implicit,"}
-SWITCHES = (
+EFFECTS_NOTE = (
     "<p>Parameters with a dot, <code>effect.parameter</code>, switch on effects that the base model lacks. At their\n"
     "start value an effect is off and takes no time.</p>"
 )
@@ -214,7 +214,7 @@ def docstrings_html(*owners: object) -> str:
 def model_text(model: Model) -> str:
     """Return a model's documentation as HTML: equations, effects, integration."""
     effects = "".join(f"<li><code>{k.name}</code>: {escape(k.equation)}</li>" for k in model.catalogue)
-    catalogue = f"{SWITCHES}<ul>{effects}</ul>" if effects else ""
+    catalogue = f"{EFFECTS_NOTE}<ul>{effects}</ul>" if effects else ""
     needs = NEEDS.format(method=METHOD[model.integrator], substep=1000 * model.substep)
     return docstrings_html(type(model), model.equations) + needs + catalogue
 

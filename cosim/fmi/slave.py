@@ -18,7 +18,7 @@ from pythonfmu import Boolean, Fmi2Slave, Real, String
 from cosim.fmi.ports import Kind, Port, Value
 
 INSTANTIATED, INITIALIZATION, STEP = "instantiated", "initialization", "step"
-TYPES = {"Real": Real, "Boolean": Boolean, "String": String}
+VARIABLE_CLASSES = {"Real": Real, "Boolean": Boolean, "String": String}
 
 
 def tuples(value: Any) -> Any:
@@ -62,8 +62,8 @@ class Slave(Fmi2Slave):  # type: ignore[misc]  # pythonfmu is untyped
         self.start_time = 0.0
         self.input_count = sum(p.causality == "input" for p in self.ports)
         self.output_slice = slice(self.input_count, self.input_count + sum(p.causality == "output" for p in self.ports))
-        for port in self.ports:  # types only; the model description is written from the ports
-            self.register_variable(TYPES[port.kind](port.name), nested=False)
+        for port in self.ports:  # The model description is written from the ports.
+            self.register_variable(VARIABLE_CLASSES[port.kind](port.name), nested=False)
 
     def follow_inputs(self) -> None:
         """Update the outputs that depend directly on inputs, without a step. An FMU with sample times does nothing."""

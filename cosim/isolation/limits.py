@@ -13,8 +13,8 @@ from cosim.core.settings import reason_of
 from cosim.core.units import split_quantity
 from cosim.files.yaml_file import Part, Positive, PositiveSeconds
 
-BYTES = {"": 1.0, "B": 1.0, "kB": 1e3, "MB": 1e6, "GB": 1e9, "KiB": 2.0**10, "MiB": 2.0**20, "GiB": 2.0**30}
-LOADING = 60.0  # default time limit for loading [s], if any other time limit is set
+BYTES_PER_UNIT = {"": 1.0, "B": 1.0, "kB": 1e3, "MB": 1e6, "GB": 1e9, "KiB": 2.0**10, "MiB": 2.0**20, "GiB": 2.0**30}
+LOADING = 60.0  # default limit of loading [s] with other time limits
 
 
 def _bytes(value: Any) -> Any:
@@ -22,9 +22,9 @@ def _bytes(value: Any) -> Any:
     if not isinstance(value, str):
         return value
     number, unit = split_quantity(value) or (0.0, None)
-    if unit not in BYTES:
-        raise ValueError(f"give a number with a unit ({', '.join(filter(None, BYTES))}), for example 2 GB")
-    return number * BYTES[unit]
+    if unit not in BYTES_PER_UNIT:
+        raise ValueError(f"give a number with a unit ({', '.join(filter(None, BYTES_PER_UNIT))}), for example 2 GB")
+    return number * BYTES_PER_UNIT[unit]
 
 
 Bytes = Annotated[Positive, BeforeValidator(_bytes), WithJsonSchema({"type": ["number", "string"]})]

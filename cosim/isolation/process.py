@@ -27,7 +27,7 @@ from cosim.core.scratch import ScratchFolder, scratch
 from cosim.files.cache import cache_environment
 from cosim.files.files import delay_stops
 from cosim.isolation import worker
-from cosim.isolation.rows import NOTHING, OTHER, Progress, mapped_progress
+from cosim.isolation.rows import NO_CALL, OTHER, Progress, mapped_progress
 from cosim.isolation.watch import READING_PAUSE, Clock, Watch, how_ended
 from cosim.isolation.worker import (
     ALONG,
@@ -41,13 +41,13 @@ from cosim.isolation.worker import (
     transfer_fault,
 )
 
-PREFIX = "cosim-work-"
+WORKER_FOLDER_PREFIX = "cosim-work-"
 POLL = 0.05  # interval between checks of a process [s]
-ENDING = 5.0  # time [s] for a process to end by itself
-NO_MESSAGE = b""  # received instead of an answer: an FMU has written into the stream
-MOST_OUTPUT = 64_000  # output of FMUs that is passed on [bytes]
-LAST_OUTPUT = 4_000  # last output that is kept to explain a crash [bytes]
-MOST_WORDS = 200  # output shown in a message [characters]
+ENDING_TIMEOUT_S = 5.0  # time [s] for a process to end by itself
+NO_MESSAGE = b""  # in place of an answer: an FMU has written into the stream
+MOST_OUTPUT = 64_000  # passed output of FMUs [bytes]
+LAST_OUTPUT = 4_000  # last part kept to explain a crash [bytes]
+MOST_WORDS = 200  # shown part in a message [characters]
 TIMED_OUT = (subprocess.TimeoutExpired, psutil.TimeoutExpired)  # errors of waiting for a process
 ROOT = Path(__file__).resolve().parent.parent.parent
 
@@ -90,7 +90,7 @@ class Worker:
         """Start a process; unless it replaces another one, create a new folder and progress. `_attend` must follow."""
         if not replaced:
             self.end()
-            self._scratch: ScratchFolder = scratch(PREFIX)
+            self._scratch: ScratchFolder = scratch(WORKER_FOLDER_PREFIX)
         try:
             self.progress = mapped_progress(self.progress_file)
             # A fork has all imported modules, but a lock that another thread holds would never be released in it. For
@@ -135,7 +135,7 @@ class Worker:
         return self._process is not None and self._process.poll() is None
 
     def call(
-        self, function: Callable[..., Any], *arguments: Any, watch: Watch | None = None, doing: int = NOTHING
+        self, function: Callable[..., Any], *arguments: Any, watch: Watch | None = None, doing: int = NO_CALL
     ) -> Any:
         """Call a function in the worker and return its result.
 
@@ -196,7 +196,7 @@ class Worker:
             try:
                 with suppress(OSError):
                     send(process.stdin, b"")
-                process.wait(ENDING)
+                process.wait(ENDING_TIMEOUT_S)
             except TIMED_OUT:
                 kill = True
         _end_group(process, kill)
@@ -242,8 +242,8 @@ class Worker:
                     continue
                 content = None  # children of the process may keep its streams open
             if not content:
-                raise self._crash(clock, patience=0.0 if content == NO_MESSAGE else ENDING)
-            if clock.watch.width and self._process is not None:  # a short run may end between two checks
+                raise self._crash(clock, patience=0.0 if content == NO_MESSAGE else ENDING_TIMEOUT_S)
+            if clock.watch.width and self._process is not None:  # A short run ends between two checks.
                 clock.check_memory(self._process.pid)
             return content
 

@@ -21,13 +21,13 @@ import numpy as np
 
 from cosim.core.arrays import Array
 
-# Number of the current call: component·CALLS + one of these.
+# Current call: number of the component times CALLS, plus PUT, ADVANCE or GET of `cosim.blocks.component`, or OTHER.
 CALLS = 4
-PUT, ADVANCE, GET, OTHER = range(CALLS)
-NOTHING = -1  # no call yet
-WAITING = NOTHING - CALLS  # waiting for the clock or for the end of a pause, without a call
-BLOCK = 1 << 20  # bytes per write on disks that cannot reserve space
-POPULATE_WRITE, AHEAD = 23, 2**26  # MADV_POPULATE_WRITE of Linux, and bytes of a table to map in advance
+OTHER = 3
+NO_CALL = -1  # no call yet
+WAITING = NO_CALL - CALLS  # for the clock, or for the end of a pause; like NO_CALL, no call
+FILL_BYTES = 1 << 20  # bytes per write on disks that cannot reserve space
+POPULATE_WRITE, AHEAD = 23, 2**26  # MADV_POPULATE_WRITE of Linux, and bytes of a table to map beforehand
 
 
 class ExactFile:
@@ -65,7 +65,8 @@ def exact_line(row: Sequence[Any]) -> bytes:
     return json.dumps([{"hex": v.hex()} if isinstance(v, bytes) else v for v in row]).encode() + b"\n"
 
 
-FOLLOWED = "rows.json"  # beside the rows of a running run: units of columns, start, step, file of progress
+# beside the rows of a run under way: units of its columns, start and step, file of its progress
+LIVE_ROWS_FILE = "rows.json"
 
 
 @dataclass(frozen=True)
@@ -86,7 +87,7 @@ class Rows:
     table: Array
     beside: Any = field(default_factory=list[tuple[Any, ...]])
     made: MutableSequence[int] = field(default_factory=lambda: array("q", [0]))
-    doing: MutableSequence[int] = field(default_factory=lambda: array("q", [NOTHING]))
+    doing: MutableSequence[int] = field(default_factory=lambda: array("q", [NO_CALL]))
     tell_loop: Callable[[str], None] = lambda loop: None
     asked: MutableSequence[int] = field(default_factory=lambda: array("q", [0]))
     keeper: Any = None
@@ -107,8 +108,8 @@ def allocate(path: Path, size: int) -> None:
         if hasattr(os, "posix_fallocate"):
             os.posix_fallocate(stream.fileno(), 0, max(1, size))
             return
-        for first in range(0, size, BLOCK):
-            stream.write(bytes(min(BLOCK, size - first)))
+        for first in range(0, size, FILL_BYTES):
+            stream.write(bytes(min(FILL_BYTES, size - first)))
 
 
 def mapped_table(path: Path, rows: int, columns: int) -> Array:

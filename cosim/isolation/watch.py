@@ -13,11 +13,12 @@ from typing import Any
 
 import psutil
 
+from cosim.blocks.component import ADVANCE, GET, PUT
 from cosim.core.errors import SimulationError, TimedOut
 from cosim.isolation.limits import Limits
-from cosim.isolation.rows import ADVANCE, CALLS, GET, NOTHING, OTHER, PUT, WAITING, Progress
+from cosim.isolation.rows import CALLS, NO_CALL, OTHER, WAITING, Progress
 
-SIGNALS = {
+SIGNAL_MEANINGS = {
     "SIGSEGV": "crashed: segmentation fault",
     "SIGABRT": "crashed: abort",
     "SIGBUS": "crashed: bus error",
@@ -156,7 +157,7 @@ def how_ended(code: int) -> str:
     """Return a phrase that explains a process's return code."""
     if code < 0:
         name = signal.Signals(-code).name if -code in set(signal.Signals) else f"signal {-code}"
-        return f"{SIGNALS.get(name, 'was ended')} ({name})"
+        return f"{SIGNAL_MEANINGS.get(name, 'was ended')} ({name})"
     if code & 0xFFFFFFFF in STATUSES:
         return STATUSES[code & 0xFFFFFFFF]
     return f"ended the process, exit code {code}"
@@ -179,11 +180,11 @@ class Clock:
         if watch.progress is not None and rows != self.rows:
             self.rows = rows
             watch.progress(rows)
-        is_named, is_other = self.progress.named[0], doing % CALLS == OTHER  # NOTHING also counts as OTHER
+        is_named, is_other = self.progress.named[0], doing % CALLS == OTHER  # NO_CALL counts as OTHER too.
         loading = not rows and is_other and not (is_named and b"Instantiate" not in self.progress.call)
         # does not change during a step or call
         key = (rows,) if rows and not is_other else (rows, doing, is_named, self.progress.call)
-        waiting = doing in (NOTHING, WAITING)
+        waiting = doing in (NO_CALL, WAITING)
         if key != self.key or waiting:
             self.key, self.since = key, now
         watch.spent[0] += 0.0 if loading or (waiting and rows) else now - self.last

@@ -28,8 +28,8 @@ from cosim.core.program import collect_seldom
 from cosim.core.scratch import remove
 from cosim.isolation.rows import Progress, mapped_progress
 
-HEAD = struct.Struct("!4sIQ")  # mark, checksum and size of a message
-MARK = b"\x93csm"
+MESSAGE_HEAD = struct.Struct("!4sIQ")  # mark, checksum and size of a message
+MESSAGE_MARK = b"\x93csm"
 STREAMS_LOST = 121  # exit code of a worker whose streams an FMU has closed, read or changed
 PROGRESS, ALONG = "progress", "along"
 
@@ -69,20 +69,20 @@ def share_log(component: Any) -> None:
 
 
 def send(stream: Any, content: bytes) -> None:
-    """Write a message with mark, checksum and size."""
-    stream.write(HEAD.pack(MARK, crc32(content), len(content)) + content)
+    """Write a message."""
+    stream.write(MESSAGE_HEAD.pack(MESSAGE_MARK, crc32(content), len(content)) + content)
     stream.flush()
 
 
 def receive(stream: Any) -> bytes | None:
-    """Read a message; return None at the end of the stream, raise BadStream for other content."""
-    head = stream.read(HEAD.size)
+    """Read a message; return None at the end of the stream, and raise BadStream for what is no message."""
+    head = stream.read(MESSAGE_HEAD.size)
     if head is None:
         raise BadStream
-    if len(head) < HEAD.size:
+    if len(head) < MESSAGE_HEAD.size:
         return None
-    mark, checksum, size = HEAD.unpack(head)
-    content = stream.read(size) if mark == MARK else None
+    mark, checksum, size = MESSAGE_HEAD.unpack(head)
+    content = stream.read(size) if mark == MESSAGE_MARK else None
     if content is None or (len(content) == size and crc32(content) != checksum):
         raise BadStream
     return bytes(content) if len(content) == size else None

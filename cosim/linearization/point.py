@@ -27,10 +27,10 @@ from cosim.simulation.packaged import is_ssp
 from cosim.simulation.workflow import run
 
 MAX_OUTPUT_DIFFERENCE = 1e-6  # largest difference between model and component, relative to the output's range
-MAX_NAMES = 8  # missing signals listed in a message
+MAX_MISSING_NAMES = 8  # missing signals listed in a message
 SCENARIOS = {".yaml", ".yml", ".json", ".ssp", ".ssd"}
 MAX_TIMES = 100_000
-AT = Path("--at")
+AT_OPTION = Path("--at")
 
 
 def read_at(texts: Sequence[str]) -> tuple[Mapping[str, str], Path | None, Array]:
@@ -67,7 +67,7 @@ def read_at(texts: Sequence[str]) -> tuple[Mapping[str, str], Path | None, Array
             values.setdefault(name, value)
     if len(moments) > 1:
         faults.append(f"{len(moments)} scenarios are given; give one")
-    refuse(Fault(AT, 0, 0, fault) for fault in faults)
+    refuse(Fault(AT_OPTION, 0, 0, fault) for fault in faults)
     return values, *(moments[0] if moments else (None, np.zeros(0)))
 
 
@@ -110,7 +110,7 @@ def move(source: Source, point: Point, values: Mapping[str, str]) -> Point:
             states[source.states.index(name)] = value
         if name in source.inputs:
             inputs[source.inputs.index(name)] = value
-    refuse(Fault(AT, 0, 0, fault) for fault in faults)
+    refuse(Fault(AT_OPTION, 0, 0, fault) for fault in faults)
     return replace(point, states=states, inputs=inputs)
 
 
@@ -166,7 +166,7 @@ def points_along(
     else:
         values = _columns(results, name, source.states)
         if names := ", ".join(np.array(source.states)[np.isnan(values).all(axis=0)]):
-            raise InputError.at(AT, f"{name} of {scenario} does not record {names}; give the point as NAME=VALUE")
+            raise InputError.at(AT_OPTION, f"{name} of {scenario} does not record {names}")
     return source, [Point(float(time[k]), values[k], inputs[k]) for k in rows], notes
 
 
@@ -180,14 +180,14 @@ def _component(results: Results, source: Source, scenario: Path, name: str) -> s
         return name or fitting[0]
     if not name and fitting:
         names = ", ".join(fitting)
-        raise InputError.at(AT, f"several components fit the model: {names}; choose one with --component NAME")
+        raise InputError.at(AT_OPTION, f"several components fit the model: {names}; choose one with --component NAME")
     absent = missing.get(name, signals)
-    names = f"{', '.join(absent[:MAX_NAMES])}{', …' if len(absent) > MAX_NAMES else ''}"
+    names = f"{', '.join(absent[:MAX_MISSING_NAMES])}{', …' if len(absent) > MAX_MISSING_NAMES else ''}"
     if name:
         text = f"{name} lacks inputs or outputs of {source.title} ({names}); give another component"
-        raise InputError.at(AT, text)
+        raise InputError.at(AT_OPTION, text)
     text = f"no component of {scenario} has the inputs and outputs of {source.title} ({names})"
-    raise InputError.at(AT, f"{text}; give another scenario")
+    raise InputError.at(AT_OPTION, f"{text}; give another scenario")
 
 
 def _columns(results: Results, component: str, names: Sequence[str]) -> Array:
@@ -217,8 +217,8 @@ def _simulate(source: EquationSource, start: Mapping[str, Any], time: Array, inp
 def _check_times(scenario: Path, times: Array, first: float, last: float) -> None:
     for time in times.tolist():
         if not first - rounding(first) <= time <= last + rounding(last):
-            text = f"{time:g} s is outside the run of {scenario}; give a time from {first:g} to {last:g} s"
-            raise InputError.at(AT, text)
+            text = f"{time:g} s is outside the run of {scenario} from {first:g} to {last:g} s"
+            raise InputError.at(AT_OPTION, text)
 
 
 def _run(scenario: Path, folder: Path, overrides: Sequence[str] = ()) -> tuple[Results, Mapping[str, Any]]:

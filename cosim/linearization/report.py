@@ -18,9 +18,9 @@ from cosim.report.template import render
 
 TEMPLATE = Path(__file__).with_name("templates") / "linearize.html.j2"
 CURVES_PER_PANEL = 6
-MAX_PAIRS = 40  # of panels, magnitude and phase
-MAX_COLUMNS = 24  # rows and columns of a displayed matrix
-POINTS = 400  # number of frequencies
+MAX_BODE_PAIRS = 40  # of panels, magnitude and phase
+MAX_PAGE_COLUMNS = 24  # rows and columns of a displayed matrix
+FREQUENCY_POINTS = 400  # number of frequencies
 DECADE = 10.0  # range of frequencies, as a factor below the slowest and above the fastest nonzero pole
 MIN_RESPONSE = 1e-12  # smallest drawn response, relative to the largest
 
@@ -52,7 +52,7 @@ def page(outcome: Outcome) -> str:
     for name in "ABCD":
         matrix, rows, columns = linear.matrix(name)
         texts = [(n, [number(v) if v else "" for v in row]) for n, row in zip(rows, matrix, strict=True)]
-        fits = len(columns) <= MAX_COLUMNS and len(rows) <= 4 * MAX_COLUMNS
+        fits = len(columns) <= MAX_PAGE_COLUMNS and len(rows) <= 4 * MAX_PAGE_COLUMNS
         matrices.append({"name": name, "columns": columns, "fits": fits, "rows": texts})
     values = {
         "name": PurePath(outcome.name).name,
@@ -73,10 +73,10 @@ def page(outcome: Outcome) -> str:
         "poles": pole_rows(structure),
         "rank": (structure.controllable, structure.observable, len(linear.states)),
         "condition": number(structure.condition) if math.isfinite(structure.condition) else "",
-        "bode": drawing.plots([panel for pair in bode[:MAX_PAIRS] for panel in pair]) if drawing else [],
-        "left_out": len(bode[MAX_PAIRS:]),
+        "bode": drawing.plots([panel for pair in bode[:MAX_BODE_PAIRS] for panel in pair]) if drawing else [],
+        "left_out": len(bode[MAX_BODE_PAIRS:]),
         "matrices": matrices,
-        "largest": MAX_COLUMNS,
+        "largest": MAX_PAGE_COLUMNS,
     }
     return render(TEMPLATE, values, charts)
 
@@ -104,7 +104,7 @@ def frequencies(linear: Linear) -> Array:
     sizes = np.abs(poles(linear.A))
     nonzero = sizes[sizes > 1e-6 * sizes.max(initial=0.0)]
     low, high = (nonzero.min() / DECADE, nonzero.max() * DECADE) if nonzero.size else (0.01, 100.0)
-    return np.asarray(10.0 ** np.linspace(np.floor(np.log10(low)), np.ceil(np.log10(high)), POINTS))
+    return np.asarray(10.0 ** np.linspace(np.floor(np.log10(low)), np.ceil(np.log10(high)), FREQUENCY_POINTS))
 
 
 def bode_panels(linear: Linear, omega: Array) -> list[tuple[Panel, Panel]]:

@@ -30,9 +30,8 @@ from cosim.model.model import Effect, Model, overrides
 from cosim.model.namespaces import SCALAR
 from cosim.residuals.drive import start_values
 
-MODULES = ("cosim.linearization.sources", "fmpy.fmi2", "fmpy.logging")
-NAME = "fmu"
-EXACT = "the equations, differentiated exactly"
+LINEARIZATION_MODULES = ("cosim.linearization.sources", "fmpy.fmi2", "fmpy.logging")
+FMU_COMPONENT = "fmu"
 DIRECTIONAL = "directional derivatives of the FMU"
 DIFFERENCE_STEP = 1e-5  # step of central differences, relative to each state and input, or to 1
 # smallest derivative of an FMU that differences can resolve, relative to the largest in a row
@@ -99,7 +98,7 @@ class EquationSource:
             if not (np.isfinite(slopes).all() and np.isfinite(values).all()):
                 text = "the derivatives, the outputs or their slopes are not finite at this point"
                 raise SimulationError(self.name, point.time, f"{text}; choose another operating point")
-            models.append(linear_model(self, point, slopes, values, EXACT, notes))
+            models.append(linear_model(self, point, slopes, values, "the equations, differentiated exactly", notes))
         return models
 
 
@@ -131,7 +130,7 @@ class ExchangeSource:
         self.states, self.inputs, self.outputs = (scalars(group) for group in listed)
         self.units = {name: unit for group in listed for name, unit in units_of(group).items()}
         self._step = step
-        block = DifferentiableFmu(NAME, path, description, self._start, frozenset())
+        block = DifferentiableFmu(FMU_COMPONENT, path, description, self._start, frozenset())
         self._directional = step is None and block.gives_slopes
 
     def with_values(self, values: Mapping[str, Any], over: Sequence[str]) -> ExchangeSource:
@@ -152,7 +151,7 @@ class ExchangeSource:
         return [linear_model(self, *result) for result in results]
 
     def _call(self, function: Any, *more: Any) -> Any:
-        watch = Watch([NAME], [fmi_calls(self._description)])
+        watch = Watch([FMU_COMPONENT], [fmi_calls(self._description)])
         fmu = self._path.resolve(), self._description, self._start
         return self._worker.call(with_permission, permission.get(), function, *fmu, *more, watch=watch)
 
@@ -236,7 +235,7 @@ def _differentiate(block: DifferentiableFmu, point: Point, step: float, directio
 
 def _open(path: Path, description: Any, start: Mapping[str, Any]) -> DifferentiableFmu:
     here.progress.doing[0] = OTHER
-    block = DifferentiableFmu(NAME, path, description, start, frozenset())
+    block = DifferentiableFmu(FMU_COMPONENT, path, description, start, frozenset())
     here.share_log(block)
     block.bind_nothing()
     block.open(0.0, 1.0)

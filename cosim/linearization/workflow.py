@@ -24,14 +24,14 @@ from cosim.linearization.linear_model import missing_states, select, structure
 from cosim.linearization.linear_model import residualize as residualize_states
 from cosim.linearization.point import move, points_along, read_at
 from cosim.linearization.sources import (
-    MODULES,
+    LINEARIZATION_MODULES,
     EquationSource,
     ExchangeSource,
     Source,
     settle,
     with_parameters,
 )
-from cosim.linearization.write import FILES, Outcome, write
+from cosim.linearization.write import LINEARIZATION_FILES, Outcome, write
 from cosim.residuals.drive import start_values
 
 
@@ -103,7 +103,7 @@ def linearize(
         inputs, outputs = inputs or source.inputs, outputs or source.outputs
         if folder is not None:
             stack.enter_context(new_run(folder, "", "cosim linearize", force=force))
-            check_writable(folder, (*FILES, "report.html"), source.files)
+            check_writable(folder, (*LINEARIZATION_FILES, "report.html"), source.files)
         if scenario is None:
             points, notes = [source.start], list[str]()
         else:
@@ -147,7 +147,7 @@ def _source(stack: ExitStack, path: Path, values: Sequence[str], step: float | N
                 raise InputError.at(option, f"{step:g} is not between 0 and 1; give a small number, such as 1e-5")
             (description,) = read_fmus([path])
             start = start_values(path, values, lambda name, message: Fault(Path("--set"), 0, 0, message))
-            return ExchangeSource(stack.enter_context(Worker(*MODULES)), path, description, start, step)
+            return ExchangeSource(stack.enter_context(Worker(*LINEARIZATION_MODULES)), path, description, start, step)
     if step is not None:
         raise InputError.at(option, "applies to FMUs only: equations are differentiated exactly; remove it")
     loaded = load_model(text if is_model(text) else str(refined_file(path)), Path())

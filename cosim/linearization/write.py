@@ -18,8 +18,8 @@ from cosim.core.version import __version__
 from cosim.files.files import write_json, write_text
 from cosim.linearization.linear_model import Linear, Pole, Structure
 
-FILES = ("linear.json", "linear.mat", "linear.py")
-GROUPS = ("states", "inputs", "outputs")
+LINEARIZATION_FILES = ("linear.json", "linear.mat", "linear.py")
+SIGNAL_GROUPS = ("states", "inputs", "outputs")
 HEADER = 116  # bytes of text at the start of a .mat file, where scipy writes the time of day
 SCRIPT = '''"""The linear model of linear.json beside this file, for python-control: `from linear import system`."""
 
@@ -38,10 +38,10 @@ systems = [
 ]
 system = systems[0]
 '''
-MAX_COLUMNS = 16  # of a matrix on a terminal
+MAX_TERMINAL_COLUMNS = 16  # of a matrix on a terminal
 MAX_OSCILLATING_DAMPING = 0.9  # damping ratio of a pole pair above which its overshoot is below 0.2 %
 AXIS_TOLERANCE = 1e-9  # largest real part [1/s] of a pole on the imaginary axis
-HEAD = (
+POLE_COLUMNS = (
     "pole [1/s]",
     "times",
     "ωₙ [rad/s]",
@@ -97,8 +97,8 @@ def content(outcome: Outcome) -> dict[str, Any]:
         "title": outcome.title,
         "method": first.method,
         "notes": list(outcome.notes),
-        **{group: list(getattr(first, group)) for group in GROUPS},
-        "units": {n: first.units.get(n, "") for group in GROUPS for n in getattr(first, group)},
+        **{group: list(getattr(first, group)) for group in SIGNAL_GROUPS},
+        "units": {n: first.units.get(n, "") for group in SIGNAL_GROUPS for n in getattr(first, group)},
         "models": [{"time": m.point.time, **{n: v.tolist() for n, v in _arrays(m).items()}} for m in outcome.linear],
         "structure": {**asdict(structure), "poles": poles, "condition": condition},
     }
@@ -121,7 +121,7 @@ def mat(linear: Sequence[Linear]) -> bytes:
         stacked = np.stack([_arrays(m)[name] for m in linear], axis=-1)
         values[name] = stacked[..., 0] if stacked.ndim == 3 and len(linear) == 1 else stacked
     values["time"] = np.array([[m.point.time for m in linear]])
-    values |= {group: np.array(getattr(linear[0], group), dtype=object) for group in GROUPS}
+    values |= {group: np.array(getattr(linear[0], group), dtype=object) for group in SIGNAL_GROUPS}
     stream = io.BytesIO()
     savemat(stream, values)
     title = f"MATLAB 5.0 MAT-file, by cosim {__version__}".encode().ljust(HEADER)
@@ -191,11 +191,11 @@ def pole_rows(structure: Structure) -> list[dict[str, str]]:
 def matrix_lines(name: str, matrix: Array, rows: Sequence[str], columns: Sequence[str]) -> list[list[str]]:
     """Return a matrix as cells with a header.
 
-    A matrix with more than MAX_COLUMNS columns is a list of its nonzero entries.
+    A matrix with more than MAX_TERMINAL_COLUMNS columns is a list of its nonzero entries.
     """
     if not matrix.size:
         return []
-    if len(columns) > MAX_COLUMNS:
+    if len(columns) > MAX_TERMINAL_COLUMNS:
         places = zip(*np.nonzero(matrix), strict=True)
         return [[name, "", ""], *([rows[i], columns[j], number(float(matrix[i, j]))] for i, j in places)]
     cells = [[n, *(number(float(v)) if v else "." for v in row)] for n, row in zip(rows, matrix, strict=True)]

@@ -13,26 +13,26 @@ from cosim.core.errors import Fault, InputError
 from cosim.core.linear_algebra import least_squares
 from cosim.core.text import amount, counted, percent, plain
 from cosim.core.units import DEGREES
-from cosim.logs.log import MISSING, TURN, Finding, Log, Severity, name_list, noise_level
+from cosim.logs.log import FULL_TURN, MISSING_ROW_STEPS, Finding, Log, Severity, name_list, noise_level
 from cosim.logs.model_comparison import input_unit_findings
 from cosim.logs.spikes import Spikes, find_spikes, out_of_line
 from cosim.model.planar import PlanarFrame
 from cosim.model.traits import Traits, rate_of
 
-ORDER = ("fault", "warning", "note")
-ALIKE = 0.98  # correlation of two inseparable inputs
+SEVERITIES = ("fault", "warning", "note")
+INSEPARABLE_CORRELATION = 0.98  # correlation of two inseparable inputs
 SLOWER, FASTER = 1.5, 50.0  # ratio of the log's step to the model's from which the steps disagree
-SHORT = 10.0  # [s]; the first 2 s and whole windows of 2 s must leave enough rows
+SHORT_LOG_S = 10.0  # [s]; the first 2 s and whole windows of 2 s must leave enough rows
 STILL = 1e-9  # [unit of the signal] change below which only rounding is visible
 MIN_AGREEMENT = 0.9  # correlation of the change of a signal with the integral of its rate
 FAR_OFF = 8.0  # multiple of the usual miss, or of the noise
-PAUSE = 0.2  # [s] without a reading
+MAX_INTEGRATED_PAUSE_S = 0.2  # [s] without a reading
 TURNED = 9.0  # ratio of sideways motion to that of the mirror image from which an axis is reversed
 LEAST_POSITIONS = 20  # positions
 SPACING = 0.2  # [s] between positions
 MIN_TURN = 0.2  # [rad] standard deviation of the heading from which exchanged axes differ from motion sideways
-JUMP = 10.0  # multiple of a step that 99 % of the rows do not exceed
-BLOCK = 0.5  # [s] over which a signal's change is compared with the integral of its rate
+POSITION_JUMP_RATIO = 10.0  # multiple of a step that 99 % of the rows do not exceed
+INTEGRAL_BLOCK_S = 0.5  # [s] over which a signal's change is compared with the integral of its rate
 
 
 def gate(
@@ -69,7 +69,7 @@ def gate(
             f"{name_list(others)}"
         )
         findings.append(Finding("note", "unread", "", message))
-    return sorted(findings, key=lambda f: ORDER.index(f.severity))
+    return sorted(findings, key=lambda f: SEVERITIES.index(f.severity))
 
 
 def refuse_faults(log: Log, findings: Sequence[Finding]) -> None:
@@ -94,7 +94,7 @@ def gate_faults(log: Log, findings: Sequence[Finding]) -> list[Fault]:
 def _timing(log: Log) -> Iterator[Finding]:
     dt = np.diff(log.time)
     ratio = dt / log.step
-    regular = ratio[ratio <= MISSING]
+    regular = ratio[ratio <= MISSING_ROW_STEPS]
     spread, worst = float(np.std(regular)), float(np.max(np.abs(regular - 1.0), initial=0.0))
     if worst > 0.01:
         message = (
@@ -102,7 +102,7 @@ def _timing(log: Log) -> Iterator[Finding]:
             "`cosim replay` steps at these times, `cosim refine` at equal intervals"
         )
         yield Finding("warning" if spread > 0.1 else "note", "jitter", "time", message)
-    holes = np.flatnonzero(ratio > MISSING)
+    holes = np.flatnonzero(ratio > MISSING_ROW_STEPS)
     missing = np.maximum(1.0, np.rint(ratio[holes]) - 1.0)
     gaps = dt[holes] > log.pause
     for kind, chosen in (("dropouts", ~gaps), ("gaps", gaps)):
@@ -116,10 +116,9 @@ def _timing(log: Log) -> Iterator[Finding]:
             numbers = {"rows": rows, "places": places.size, "first": first, "longest": longest}
             yield Finding("warning", kind, "time", message, numbers)
     duration = float(log.time[-1] - log.time[0])
-    if duration < SHORT * log.slowness:
-        message = (
-            f"the log lasts {amount(duration, 's')}; {plain(2.0 * SHORT * log.slowness)} s or more give better results"
-        )
+    if duration < SHORT_LOG_S * log.slowness:
+        better = plain(2.0 * SHORT_LOG_S * log.slowness)
+        message = f"the log lasts {amount(duration, 's')}; {better} s or more give better results"
         yield Finding("warning", "short", "time", message)
     if abs(start := float(log.time[0])) > 1e6:
         message = f"time starts at {start:.0f} s; the simulation uses this time unchanged"
@@ -131,7 +130,7 @@ def _rate(log: Log, rate: float) -> Iterator[Finding]:
     ratio, duration = log.step / rate, float(log.time[-1] - log.time[0])
     # Without a stated unit, the time may be in another unit. A log in minutes then appears to last seconds; otherwise
     # its rows really are minutes apart.
-    units = (("ms", 1e3), ("us", 1e6), *((("min", 1.0 / 60.0),) if duration < SHORT else ()))
+    units = (("ms", 1e3), ("us", 1e6), *((("min", 1.0 / 60.0),) if duration < SHORT_LOG_S else ()))
     unit = next((unit for unit, factor in units if 0.5 < ratio / factor < 2.0 and not log.written.get("time")), None)
     severity: Severity = "note"
     if unit:
@@ -186,7 +185,7 @@ def _inputs(log: Log) -> Iterator[Finding]:
         )
     for one, other in combinations(moving, 2):
         rho = float(np.corrcoef(moving[one], moving[other])[0, 1])
-        if abs(rho) > ALIKE:
+        if abs(rho) > INSEPARABLE_CORRELATION:
             direction, correlation = "with" if rho > 0 else "against", plain(rho, 3)
             message = f"moves {direction} {other} (correlation {correlation}): their effects cannot be separated"
             yield Finding("note", "alike", one, message, {"correlation": rho})
@@ -271,10 +270,10 @@ def frame_findings(log: Log, traits: Traits | None = None) -> Iterator[Finding]:
             low, high = (plain(v) for v in limits)
             message = f"reaches {plain(size)} rad, outside the limits of the model ({low} to {high}); {cure}"
             yield Finding("fault", "degrees", name, message)
-        elif not stated and ((name in log.inputs and size > TURN) or size > 20.0 * TURN):
+        elif not stated and ((name in log.inputs and size > FULL_TURN) or size > 20.0 * FULL_TURN):
             yield Finding("warning", "degrees", name, f"reaches {plain(size)} rad; {cure}")
         jumps = np.flatnonzero(np.abs(np.diff(good)) > math.pi)
-        if jumps.size and name in log.outputs and size <= 20.0 * TURN:
+        if jumps.size and name in log.outputs and size <= 20.0 * FULL_TURN:
             first = float(log.time[np.isfinite(values)][jumps[0] + 1])
             message = (
                 f"jumps by more than half a turn {counted(jumps.size, 'time')}, first at t = {first:.6g} s; angles "
@@ -298,11 +297,11 @@ def _against_rate(log: Log, name: str, rate: str, *, declared: bool) -> Iterator
     if time.size < 2:
         return
     area = np.concatenate(([0.0], np.cumsum(0.5 * (rates[1:] + rates[:-1]) * np.diff(time))))
-    edges = np.flatnonzero(np.diff(np.floor((time - time[0]) / (BLOCK * log.slowness)), prepend=-1.0))
+    edges = np.flatnonzero(np.diff(np.floor((time - time[0]) / (INTEGRAL_BLOCK_S * log.slowness)), prepend=-1.0))
     if edges.size < 2:
         return
     longest = np.maximum.reduceat(np.diff(time)[: edges[-1]], edges[:-1])
-    whole = longest < PAUSE * log.slowness  # over a pause, the integral is a guess
+    whole = longest < MAX_INTEGRATED_PAUSE_S * log.slowness  # over a pause, the integral is a guess
     change, integral, length = (np.diff(part[edges])[whole] for part in (values, area, time))
     if change.size < 8 or np.std(integral) == 0.0 or np.std(change) <= STILL:
         return
@@ -398,7 +397,10 @@ def _axis_findings(log: Log, frame: PlanarFrame) -> Iterator[Finding]:
     for name in (frame.x, frame.y):  # a position that jumps between two rows and does not return
         good = np.flatnonzero(np.isfinite(log.outputs[name]))
         steps = np.abs(np.diff(log.outputs[name][good]))
-        if steps.size < LEAST_POSITIONS or not (largest := float(steps.max())) > JUMP * float(np.quantile(steps, 0.99)):
+        if steps.size < LEAST_POSITIONS:
+            continue
+        largest = float(steps.max())
+        if not largest > POSITION_JUMP_RATIO * float(np.quantile(steps, 0.99)):
             continue
         k = int(np.argmax(steps))
         before, after = (

@@ -24,21 +24,21 @@ from cosim.model.quantities import Quantity
 
 FAST, USUAL = 0.001, 0.05  # [s] row spacings from and up to which fixed times apply; see `slowness`
 GAP = 0.5  # [s] without a row; shorter holes are dropouts
-LOST = 10  # least number of rows lost in a pause
+MIN_PAUSE_ROWS = 10  # least number of rows lost in a pause
 USUALLY = 3.0  # multiple of the usual measurement spacing beyond which a pause begins
-BEYOND = 1e6  # multiple of a column's usual size beyond which a value is invalid
+INVALID_SIZE_RATIO = 1e6  # multiple of a column's usual size beyond which a value is invalid
 ORDINARY = 1e9  # size in any SI unit up to which a mostly resting column may jump
-NEVER = 1e30  # size in any SI unit beyond which every value is invalid
-TURN = 2.0 * math.pi
-ALIKE = 0.85  # similarity of two names for a suggestion; prefixes of loggers resemble much
+MAX_VALID_SIZE = 1e30  # size in any SI unit beyond which every value is invalid
+FULL_TURN = 2.0 * math.pi
+MIN_NAME_SIMILARITY = 0.85  # similarity of two names for a suggestion; prefixes of loggers resemble much
 HINTS, SHOWN = 50, 40  # columns with a suggestion, and names in a message
 DRIFT = 2.0  # steps by which the last row of a log may be off before rows count as missing
-SHORT = 5.0  # percentile of the spacings of an irregular clock [%]
-MISSING = 1.5  # steps between rows from which a row is missing
-SMOOTH = 0.5  # share of the error of holding up to which interpolation is the better guess
-SENSORS = "sensors"  # kind of a finding on claimed errors of sensors
+STEP_PERCENTILE = 5.0  # percentile of the spacings of an irregular clock [%]
+MISSING_ROW_STEPS = 1.5  # steps between rows from which a row is missing
+MAX_INTERPOLATION_ERROR = 0.5  # share of the error of holding up to which interpolation is the better guess
+SENSOR_FINDING = "sensors"  # kind of a finding on claimed errors of sensors
 NORMAL_95 = 1.96  # 95 % limits of a normal distribution, in standard deviations
-APART = 1.5  # multiple of the usual span of five readings beyond which readings are no neighbours
+MAX_NEIGHBOUR_SPAN = 1.5  # multiple of the usual span of five readings beyond which readings are no neighbours
 Severity = Literal["note", "warning", "fault"]
 
 
@@ -91,14 +91,14 @@ class Log:
     @property
     def pause(self) -> float:
         """Return the duration [s] above which missing rows count as a pause, with unknown inputs and state."""
-        return max(GAP, LOST * self.step)
+        return max(GAP, MIN_PAUSE_ROWS * self.step)
 
     @cached_property
     def grid(self) -> Rows:
         """Return the index of each row in equal steps; 0, 1, 2 … without missing rows."""
         number = np.arange(self.rows)
         ahead = (self.time - self.time[0]) / self.step - number
-        if self.rows < 2 or (abs(ahead[-1]) < DRIFT and not np.any(np.diff(self.time) > MISSING * self.step)):
+        if self.rows < 2 or (abs(ahead[-1]) < DRIFT and not np.any(np.diff(self.time) > MISSING_ROW_STEPS * self.step)):
             return number
         missing = np.rint(ahead).astype(np.intp)
         # a late row does not shift later rows
@@ -230,7 +230,9 @@ def read_log(
     if table is not None:
         missing = [name for name in units if name not in table]
         for written in islice(unread, HINTS):
-            close = closest(written, missing, ALIKE) or closest(written.rpartition(".")[2], missing, ALIKE)
+            close = closest(written, missing, MIN_NAME_SIMILARITY) or closest(
+                written.rpartition(".")[2], missing, MIN_NAME_SIMILARITY
+            )
             unread[written] = f'; did you mean "{close}"?' if close else ""
         if declare is None:
             check_header(table)
@@ -248,7 +250,7 @@ def read_log(
         rows = np.flatnonzero(np.isfinite(measured[name]))
         values = measured[name][rows]
         jumps = rows[1:][np.abs(np.diff(values)) > math.pi]
-        if jumps.size and np.ptp(values) <= 1.02 * TURN:  # An angle that spans more than a turn is unchanged.
+        if jumps.size and np.ptp(values) <= 1.02 * FULL_TURN:  # An angle that spans more than a turn is unchanged.
             measured[name] = measured[name].copy()
             measured[name][rows] = np.unwrap(values)
             unwrapped[name] = tuple(time[jumps].tolist())
@@ -291,7 +293,7 @@ def _check_values(table: Table, faults: Faults, complete: Container[str]) -> Non
                 faults.note(table.header, column.cell, message)
             continue
         # a logger may write 3.4e38 for `invalid`
-        most = min(max(BEYOND * float(np.nanmedian(size)), ORDINARY), NEVER)
+        most = min(max(INVALID_SIZE_RATIO * float(np.nanmedian(size)), ORDINARY), MAX_VALID_SIZE)
         cure = "leave the cell empty" if is_output else "delete the row"
 
         def absurd(row: int, name: str = name, cure: str = cure) -> str:
@@ -340,7 +342,7 @@ def usual_step(time: Array) -> float:
     """
     apart = np.diff(time)
     median = float(np.median(apart))
-    usual = apart < MISSING * median
+    usual = apart < MISSING_ROW_STEPS * median
     number = np.concatenate([[0.0], np.cumsum(np.where(usual, 1.0, np.rint(apart / median)))])
     away = time - time[0] - median * number
     step = median
@@ -349,7 +351,7 @@ def usual_step(time: Array) -> float:
         if abs(slope - median) < 0.02 * median:
             step = slope
         elif abs(away[-1]) > DRIFT * median:
-            step = float(np.percentile(apart, SHORT))
+            step = float(np.percentile(apart, STEP_PERCENTILE))
     return float(f"{step:.9g}")
 
 
@@ -406,7 +408,7 @@ def fill_holes(log: Log) -> Log:
     whole = (np.diff(grid)[:-1] == 1) & (np.diff(grid)[1:] == 1)
     for name, values in log.inputs.items():
         first, middle, last = values[:-2][whole], values[1:-1][whole], values[2:][whole]
-        if np.sum((middle - 0.5 * (first + last)) ** 2) < SMOOTH * np.sum((middle - first) ** 2):
+        if np.sum((middle - 0.5 * (first + last)) ** 2) < MAX_INTERPOLATION_ERROR * np.sum((middle - first) ** 2):
             smooth.add(name)
     rows = np.arange(int(grid[-1]) + 1)
     if rows.size == log.rows or not smooth:
@@ -451,7 +453,7 @@ def surprise(values: Array) -> Array:
         return deviations
     near = np.lib.stride_tricks.sliding_window_view(rows, 5)
     span = near[:, 4] - near[:, 0]
-    near = near[span <= APART * np.median(span)]
+    near = near[span <= MAX_NEIGHBOUR_SPAN * np.median(span)]
     centre, others = near[:, 2], near[:, [0, 1, 3, 4]]
     distances = (others - centre[:, None]).astype(np.float64)
     weights = np.ones_like(distances)

@@ -23,7 +23,7 @@ from cosim.logs.model_comparison import output_findings
 from cosim.logs.spikes import drop_outliers, find_spikes
 from cosim.model.traits import Traits
 
-ROWS = 1000  # first rows of a log in which the model's outputs are predicted
+PREDICTED_ROWS = 1000  # first rows of a log in which the model's outputs are predicted
 
 
 def check_log(path: Path, checking: Checking) -> list[str]:
@@ -54,7 +54,7 @@ def log_findings(path: Path, loaded: LoadedModel, columns: Mapping[str, str] = M
     spikes = find_spikes(log, partial(predicted_outputs, stepping, log))
     findings = gate(log, model.rate, Traits.of(model), spikes, {q.name: q.start for q in model.inputs})
     refuse_faults(log, findings)
-    first = first_rows(log, ROWS)
+    first = first_rows(log, PREDICTED_ROWS)
     free = predicted_outputs(stepping, first, dict.fromkeys(log.outputs, np.arange(first.rows)))
     against = output_findings(first, free)
     refuse_faults(log, against)

@@ -17,7 +17,7 @@ from cosim.logs.log import Finding, Log, noise_level
 OTHER_SIZE = 5.0  # ratio to the model from which a size is another one
 SAME_SIZE = (0.7, 1.4)  # ratio to the model within which a size is the same
 MIN_SHARE_OF_BOUND = 0.02  # least size relative to its bound in the right unit
-SLOW = 1.0  # [s] slower changes also come from drift and the unknown start
+SLOW_CHANGE_S = 1.0  # [s] slower changes also come from drift and the unknown start
 LONGEST_DELAY = 0.5  # [s]
 LIKE = 0.85  # correlation of a signal with its model beyond chance
 TELLING = 0.6  # least correlation with the model for a delay estimate
@@ -25,7 +25,7 @@ MAX_SLOPE_ERROR = 0.1  # standard error of a slope relative to the slope
 BLOCKS, MIN_BLOCK = 20, 10  # blocks of rows for the standard error, and rows of a block
 MIN_SIGNAL = 3.0  # multiple of its noise from which the size of a signal is judged
 REGULAR = "or, because the motion is nearly periodic, a wrong friction or inertia"
-FASTER = 1.15  # ratio of mean frequencies from which fast changes are independent evidence
+INDEPENDENT_FREQUENCY_RATIO = 1.15  # ratio of mean frequencies from which fast changes are independent evidence
 
 DIRECTIONS = {  # likely causes of a delay: of a positive one, of a negative one
     True: ("trails", "a delay or a slower actuator"),
@@ -79,10 +79,10 @@ def delays(log: Log, model: NamedArrays) -> Iterator[Finding]:
         if frequency < 0.6 * fastest or abs(time) < max(4.0 * error, 0.4 * log.step):
             continue
         # A wrong friction or inertia causes a delay that depends on the frequency: is that of fast changes the same?
-        rows = max(1, round(0.1 * SLOW * log.slowness / log.step))
+        rows = max(1, round(0.1 * SLOW_CHANGE_S * log.slowness / log.step))
         changes = (np.append(np.full(rows, np.nan), y[rows:] - y[:-rows]) for y in (log.outputs[name], model[name]))
         fast = delay(log, *changes)
-        confirmed = fast is not None and fast.frequency >= FASTER * frequency
+        confirmed = fast is not None and fast.frequency >= INDEPENDENT_FREQUENCY_RATIO * frequency
         if fast is not None and confirmed and not abs(fast.time - time) < max(0.3 * abs(time), 3.0 * fast.error):
             continue
         serious, (direction, cause) = confirmed and abs(time) > log.step, DIRECTIONS[time > 0]
@@ -219,17 +219,17 @@ def delay(log: Log, measured: Array, model: Array) -> MeasuredDelay | None:
     top = 0.5 * (rho[k - 1] - rho[k + 1]) / bend if bend < 0.0 else 0.0
     # Gauss-Newton: the error of a shift is that of the residual's part along the signal's slope.
     size, slope = float(np.nanstd(fast_model)), float(np.nanstd(np.diff(fast_model))) / log.step
-    independent = max(2.0, np.isfinite(fast).sum() * log.step / (SLOW * log.slowness) * 2.0)
+    independent = max(2.0, np.isfinite(fast).sum() * log.step / (SLOW_CHANGE_S * log.slowness) * 2.0)
     error = size / slope * math.sqrt(max(0.0, 1.0 / float(rho[k]) ** 2 - 1.0) / independent)
     error = max(error, 0.02 * log.step)  # limit of the parabola's accuracy
     return MeasuredDelay((k - lags + float(top)) * log.step, error, slope / size)
 
 
 def moving_part(log: Log, values: Array) -> Array:
-    """Return the fast part of a signal: its deviation from the moving mean over SLOW seconds; NaN at both ends."""
+    """Return the deviation of a signal from its moving mean over SLOW_CHANGE_S seconds; NaN at both ends."""
     from scipy.ndimage import uniform_filter1d
 
-    half, finite = max(1, round(0.5 * SLOW * log.slowness / log.step)), np.isfinite(values)
+    half, finite = max(1, round(0.5 * SLOW_CHANGE_S * log.slowness / log.step)), np.isfinite(values)
     parts = np.where(finite, values, 0.0), finite.astype(np.float64)
     mean, share = (uniform_filter1d(part, 2 * half + 1, mode="constant") for part in parts)
     with np.errstate(invalid="ignore", divide="ignore"):

@@ -15,9 +15,9 @@ import numpy as np
 from cosim.core.arrays import Array, NamedArrays, Rows
 from cosim.logs.log import Log, noise_level, surprise
 
-JUMP = 0.05  # share of an input's range, and 8 times its usual change, that may cause a kink
-ANSWER = 0.1  # [s] after the jump, and 5 rows, for the response
-SCALE = (70 / 36) ** 0.5  # deviation from four equal neighbours relative to the noise
+MIN_JUMP_SHARE = 0.05  # share of an input's range, and 8 times its usual change, that may cause a kink
+RESPONSE_S = 0.1  # [s] after the jump, and 5 rows, for the response
+DEVIATION_SCALE = (70 / 36) ** 0.5  # deviation from four equal neighbours relative to the noise
 WILD = 12.0  # multiple of the noise from which a reading is suspect
 MOST, ADJACENT = 3, 2  # outliers in a group, and in sequence; more are motion
 REACH, SIDE = 12, 3  # readings that a group may affect; reference readings on each side
@@ -41,8 +41,8 @@ def find_spikes(log: Log, predict: Prediction | None = None) -> dict[str, Rows]:
     jumps = np.zeros(log.rows)
     for values in log.inputs.values():
         change = np.abs(np.diff(values, prepend=values[0]))
-        jumps += (change > JUMP * np.ptp(values)) & (change > 8.0 * np.median(change))
-    after = max(5, round(ANSWER / log.step))
+        jumps += (change > MIN_JUMP_SHARE * np.ptp(values)) & (change > 8.0 * np.median(change))
+    after = max(5, round(RESPONSE_S / log.step))
     after_jumps = np.convolve(jumps, np.ones(after + 3))[2 : 2 + log.rows] > 0.5
     spikes = {}
     for name, rows in suspects.items():
@@ -52,7 +52,7 @@ def find_spikes(log: Log, predict: Prediction | None = None) -> dict[str, Rows]:
         elif predict is not None:  # near sharp motion of the model
             values, predicted = log.outputs[name], model[name]
             moving = np.where(np.isfinite(values) & np.isfinite(predicted), predicted, np.nan)
-            motion, deviation = (SCALE * np.nan_to_num(np.abs(surprise(each))) for each in (moving, values))
+            motion, deviation = (DEVIATION_SCALE * np.nan_to_num(np.abs(surprise(each))) for each in (moving, values))
             near = np.lib.stride_tricks.sliding_window_view(np.pad(motion, LATENESS), 2 * LATENESS + 1).max(axis=1)
             genuine = UNCERTAINTY * near[rows] >= deviation[rows]
         if not genuine.all():
@@ -76,7 +76,7 @@ def out_of_line(log: Log, values: Array) -> Array:
     whole[place] = values  # readings beyond a pause do not count as neighbours
     measured = np.pad(np.isfinite(whole), 2)
     complete = np.lib.stride_tricks.sliding_window_view(measured, 5).all(axis=1)  # a slower sensor may miss motion
-    return np.asarray(SCALE * np.abs(np.nan_to_num(np.where(complete, surprise(whole), 0.0)[place])))
+    return np.asarray(DEVIATION_SCALE * np.abs(np.nan_to_num(np.where(complete, surprise(whole), 0.0)[place])))
 
 
 def _suspects(values: Array) -> Rows:
@@ -84,10 +84,10 @@ def _suspects(values: Array) -> Rows:
 
     In a stretch of deviating readings, the outliers deviate from the cubic through three readings on each side.
     """
-    rows, limit = np.flatnonzero(np.isfinite(values)), WILD * SCALE * noise_level(values)
+    rows, limit = np.flatnonzero(np.isfinite(values)), WILD * DEVIATION_SCALE * noise_level(values)
     if not limit > 0.0:
         return rows[:0]
-    deviation = np.nan_to_num(np.abs(surprise(values[rows]))) * SCALE
+    deviation = np.nan_to_num(np.abs(surprise(values[rows]))) * DEVIATION_SCALE
     astray = deviation > ASTRAY * limit
     astray[1:-1] |= astray[:-2] & astray[2:]
     edges = np.flatnonzero(np.diff(np.concatenate(([False], astray, [False])).astype(int)))

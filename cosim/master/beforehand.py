@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from cosim.blocks.compiling import LIMIT, permission
+from cosim.blocks.compiling import FMU_COMPILE_LIMIT_S, permission
 from cosim.blocks.coupling import Assumption
 from cosim.blocks.event_mode import EventFmu
 from cosim.blocks.fmu import FmuBlock
@@ -45,15 +45,15 @@ from cosim.system.schedule import Loop
 from cosim.system.system import System, build_system
 
 SWEEPS = 3  # exchanges of values before the measurement
-LEAST = 1e-7  # least change of an output, relative to its value, that counts as a reaction
-NOISE = 10.0  # least change of an output that counts, in multiples of the difference between equal calls
-IRREGULAR = 0.37  # displacement of the second point, in magnitudes of an input
+MIN_OUTPUT_CHANGE = 1e-7  # change of an output that counts, relative to its value
+NOISE = 10.0  # the same relative to differences between equal calls
+IRREGULAR = 0.37  # displacement of the second point, in sizes of an input
 OTHERS = -0.37, -0.9, 0.9  # displacements of further points, for a component that refuses the first two
-BEYOND = 2  # tried steps after the stop time of the run that saved a state
-MOST_NAMED = 6  # signals named in a message
-LONGEST_MEASUREMENT = 20.0  # limit with the first step [s], without loading; at most `limits: total`
-LEAST_FIRST_STEP = 0.1  # part of this time that is reserved for the first step [s]
-SILENT = 2.0  # time after which a note about the measurement is shown [s]
+STEPS_BEYOND_END = 2  # steps beyond the end of the run that saved a state
+MAX_NAMED_PAIRS = 6  # signals of a message
+LONGEST_MEASUREMENT = 20.0  # [s] with the first step, without loading; less with a shorter `limits: total`
+LEAST_FIRST_STEP = 0.1  # [s] that is left for the first step
+SILENT = 2.0  # [s] before a note tells of the measurement
 
 Pair = tuple[str, str]  # output, input
 
@@ -192,7 +192,7 @@ def ended_states(master: Master, row: Sequence[float], states: Mapping[str, Any]
         try:
             master.announce(component).restore(states[component.name])
             _, step, every, length, _ = master.actives[component.name]
-            for k in range((last // every + 1) * every, min(end + BEYOND * every, master.steps) + 1, every):
+            for k in range((last // every + 1) * every, min(end + STEPS_BEYOND_END * every, master.steps) + 1, every):
                 since = master.system.start + (k - every) * master.h
                 step(since, length or float(master.time[k]) - since)
         except SimulationError:
@@ -254,7 +254,7 @@ def _measure(master: Master, asked: Sequence[tuple[Member, list[int]]]) -> tuple
                 base = master.values[member.outputs]
                 member.evaluate()
                 noise = NOISE * np.abs(master.values[member.outputs] - base)
-                reactions = member.reactions(places, LEAST, noise)
+                reactions = member.reactions(places, MIN_OUTPUT_CHANGE, noise)
                 follows, accepts = follows | reactions[0], accepts | reactions[1]
         measured |= {names[places[j]] for j in np.flatnonzero(accepts)}
         row[:] = before
@@ -287,7 +287,7 @@ def with_feedthrough(
     if undeclared:
         given = file.scenario.limits or Limits()
         total = min(given.total or LONGEST_MEASUREMENT, LONGEST_MEASUREMENT)
-        load = given.load or LOADING + (LIMIT if permission.get() else 0.0)
+        load = given.load or LOADING + (FMU_COMPILE_LIMIT_S if permission.get() else 0.0)
         limits, spent = given.model_copy(update={"total": max(total, LEAST_FIRST_STEP), "load": load}), [0.0]
         note = Note(
             f"measuring the direct feedthrough of {join_names([*undeclared])}, which these FMUs do not declare "
@@ -365,8 +365,8 @@ def _note(
         return name.partition(".")[0] in loop.members
 
     def facts(pairs: Sequence[Pair]) -> str:
-        more = f" and {len(pairs) - MOST_NAMED} more" if len(pairs) > MOST_NAMED else ""
-        return ", ".join(f"{output} follows {entry}" for output, entry in pairs[:MOST_NAMED]) + more
+        more = f" and {len(pairs) - MAX_NAMED_PAIRS} more" if len(pairs) > MAX_NAMED_PAIRS else ""
+        return ", ".join(f"{output} follows {entry}" for output, entry in pairs[:MAX_NAMED_PAIRS]) + more
 
     if failure and (pairs := [pair for pair in measured.pairs if is_part(pair[1])]):
         return (

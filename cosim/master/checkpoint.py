@@ -18,21 +18,22 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from cosim.blocks.component import GET
 from cosim.core.arrays import Array
 from cosim.core.errors import Interrupted, SimulationError
 from cosim.core.messages import Note
 from cosim.files.state_file import pack, sync, unpack, write_durable
 from cosim.isolation import worker as here
-from cosim.isolation.rows import GET, NOTHING, exact_line, read_exact
+from cosim.isolation.rows import NO_CALL, exact_line, read_exact
 from cosim.master.observer import Change
 from cosim.system.system import System
 
 if TYPE_CHECKING:
     from cosim.master.master import Master
 
-ROWS, BESIDE, STATE = "rows", "beside", "state"  # names of the files of a run, in one folder
-FORMAT = 1  # version of the checkpoint format
-HASHED = 1 << 20  # values that are hashed at a time
+ROWS_FILE, BESIDE_FILE, STATE_FILE = "rows", "beside", "state"  # files of a run, in one folder
+CHECKPOINT_VERSION = 1  # version of the content of a checkpoint
+HASHED = 1 << 20  # values hashed at a time
 NOT_RESTORED = (
     "its outputs differ after a saved state is restored; use an FMU that restores its state, or one that does not "
     "declare that it can"
@@ -198,24 +199,24 @@ class Keeper:
             master.announce(component)
             can_save = hasattr(component, "checkpoint") and not master.system.reruns
             components[component.name] = component.checkpoint() if can_save else None
-        master.doing[0] = NOTHING
+        master.doing[0] = NO_CALL
         links = {name: [link.save(k) for link in chain] for name, chain in master.copying.links.items()}
         if master.inbox is not None:
             changes += master.inbox.changes
-        for name in (ROWS, BESIDE):
+        for name in (ROWS_FILE, BESIDE_FILE):
             sync(self.place / name)
         content = {
-            "format": FORMAT,
+            "format": CHECKPOINT_VERSION,
             "point": k,
             "time": float(master.time[k]),
-            "rows": self.hash.of(master.table, read_exact(self.place / BESIDE, k + 1), k + 1),
+            "rows": self.hash.of(master.table, read_exact(self.place / BESIDE_FILE, k + 1), k + 1),
             "components": components,
             "links": links,
             "changes": [[c.point, c.values] for c in changes],
             "elapsed": self.elapsed + time.monotonic() - self._begin,
         }
         here.hold_if_abandoned()
-        write_durable(self.place / STATE, pack(content))
+        write_durable(self.place / STATE_FILE, pack(content))
         self._last = time.monotonic()
 
     def compare_rows(self, master: Master, k: int) -> None:

@@ -15,22 +15,21 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cosim.blocks.component import Row
+from cosim.blocks.component import ADVANCE, Row
 from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.stepping import Course as CCourse
 from cosim.core.arrays import Array
 from cosim.core.errors import SimulationError
 from cosim.fmi.description import takes_any_step
-from cosim.isolation.rows import ADVANCE
 from cosim.system.schedule import Stage
 
 if TYPE_CHECKING:
     from cosim.master.master import Master
 
-DISPLACEMENT = 1e-3  # change of an input, relative to its magnitude, to test whether outputs react
-TAIL = 1e-3  # share of a step, at its end, that is made with the inputs of the step's end
-SPARE = 4  # additional stored points, for steps that are taken back
-StepFunction = Callable[[float, float], None]  # called with the start and the length of a step [s]
+INPUT_DISPLACEMENT = 1e-3  # of an input, relative to its magnitude, to see whether outputs follow it
+TAIL = 1e-3  # share of a step with the inputs of its end
+SPARE = 4  # stored points beyond those of the polynomial, for steps that are taken back
+StepFunction = Callable[[float, float], None]  # of the start and the length of a step [s]
 
 
 class Polynomial:
@@ -179,7 +178,7 @@ class CourseStep:
         row, answers = self._row, False
         before = row.copy()
         for place in self.new:
-            row[place] += DISPLACEMENT * max(1.0, abs(row[place]))
+            row[place] += INPUT_DISPLACEMENT * max(1.0, abs(row[place]))
             read_again(self.component)
             answers |= bool((row[outputs] != before[outputs]).any())
             row[place] = before[place]
@@ -199,7 +198,7 @@ def _follows_derivatives(master: Master, stage: Stage, names: Sequence[str], out
     h, before, answers = stage.every * master.h, master.values.copy(), []
     state = component.save_state()
     try:
-        for size in (0.0, 2.0 * DISPLACEMENT / h**2):
+        for size in (0.0, 2.0 * INPUT_DISPLACEMENT / h**2):
             orders = [0.0] * len(names), [size] * len(names)
             component.step_by_derivatives(names, orders, master.system.start, h)
             answers.append(master.values[outputs])

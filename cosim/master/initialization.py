@@ -12,10 +12,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cosim.blocks.component import EarlyEnd
+from cosim.blocks.component import GET, PUT, EarlyEnd
 from cosim.core.arrays import Array
 from cosim.core.errors import NotFinite, SimulationError
-from cosim.isolation.rows import GET, PUT
 from cosim.master.loops import MOST_DIFFERENCES, SHIFT, LoopSolver, is_lost
 from cosim.master.root_finding import RootFinding
 from cosim.scenario.scenario import LoopSettings

@@ -22,12 +22,13 @@ from collections import Counter, deque
 from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any
 
+from cosim.blocks.component import ADVANCE, GET, PUT
 from cosim.blocks.event_mode import EventFmu
 from cosim.blocks.fmu import FmuBlock
-from cosim.blocks.model_exchange import AT_ONCE, CLOSE, MOST_EVENTS, ULPS, ModelExchange
+from cosim.blocks.model_exchange import CHATTERING_SHARE, MOST_EVENTS, ModelExchange
 from cosim.blocks.sources import SourceBlock
 from cosim.core.errors import SimulationError
-from cosim.isolation.rows import ADVANCE, GET, PUT
+from cosim.core.times import TIME_TOLERANCE_SHARE, TIME_TOLERANCE_ULPS
 from cosim.master.copying import Copies
 from cosim.master.initialization import EXACT_SWEEPS, is_settled
 from cosim.master.policies import Policy
@@ -120,7 +121,7 @@ class Instants(Policy):
 
     def __init__(self, master: Master) -> None:
         self.master, self.begin, self.h, self.call = master, master.system.start, master.h, master.announce
-        self.close = CLOSE * self.h
+        self.close = TIME_TOLERANCE_SHARE * self.h
         self.events: list[tuple[float, str, str]] = []
         self.counts: dict[str, Counter[str]] = {}
         self.time, self.point, self.copies = self.begin, 0, master.copying.of(())
@@ -157,7 +158,7 @@ class Instants(Policy):
     def advance_to(self, k: int) -> None:
         """Step to communication point k, and handle the events before it."""
         t, end, control = self.begin + (k - 1) * self.h, self.begin + k * self.h, self.master.controlled
-        self.close = CLOSE * self.h + 2 * ULPS * math.ulp(max(abs(t), abs(end)))
+        self.close = TIME_TOLERANCE_SHARE * self.h + 2 * TIME_TOLERANCE_ULPS * math.ulp(max(abs(t), abs(end)))
         while True:
             flexible = [part for part in self.parts if part.rank != WHOLE]
             times = [end, *(part.time for part in flexible)]  # includes times of components that are ahead
@@ -272,12 +273,12 @@ class Instants(Policy):
         if not asked:
             return
         self._times.append(t)
-        if len(self._times) == self._times.maxlen and t - self._times[0] <= AT_ONCE * self.h:
+        if len(self._times) == self._times.maxlen and t - self._times[0] <= CHATTERING_SHARE * self.h:
             names = ", ".join(sorted({part.component.name for part in self.fmus if part.component.asks}))
             raise SimulationError(
                 names or "the run",
                 t,
-                f"{len(self._times)} events within {AT_ONCE * self.h:.2g} s, so the run does not advance",
+                f"{len(self._times)} events within {CHATTERING_SHARE * self.h:.2g} s, so that time stands still",
             )
         self._handle(asked)
 

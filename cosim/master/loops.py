@@ -21,14 +21,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cosim.blocks.component import EarlyEnd
+from cosim.blocks.component import ADVANCE, GET, PUT, EarlyEnd
 from cosim.blocks.coupling import torn
 from cosim.blocks.fmu import FmuBlock
 from cosim.core.arrays import Array, Flags
 from cosim.core.errors import NotFinite, SimulationError
 from cosim.core.times import first_point
-from cosim.isolation.rows import ADVANCE, GET, PUT
-from cosim.master.root_finding import Outcome, RootFinding
+from cosim.master.root_finding import ROUNDING_RESIDUAL, Outcome, RootFinding
 from cosim.scenario.scenario import LoopSettings
 from cosim.system.schedule import Loop
 from cosim.system.wiring import Transfer
@@ -39,17 +38,16 @@ if TYPE_CHECKING:
 SHIFT = 1e-5  # change of an input for differences, relative to its magnitude
 PROBES = (1e-3, -1e-3, 0.5, -0.5)  # relative changes of an input, to test whether an output depends on it
 MOST_ITEMS = 4  # tried items of an enumeration
-REACTION = 1e-9  # least relative change of an output that counts as a reaction
-ROUNDED = 1e-13  # residual due to rounding, relative to the magnitude
-PROPOSED = 1e-8  # tolerance that a message proposes if a tighter one is missed
-UNIT_GAIN = 1e-8  # least singular value of I − ∂g/∂z that counts as nonzero
-UNIT_GAIN_POINTS = 0.0, 1.0, -0.37  # displacements for this test, in magnitudes of the unknowns
-RANGE = -3, 5  # exponents of 2 for other start points, if a component refuses the inputs
-MOST_DIFFERENCES = 50  # inputs of a loop without directional derivatives for which Newton's method is still affordable
+REACTION = 1e-9  # smallest relative change of an output that counts
+PROPOSED = 1e-8  # tolerance that a message proposes for a smaller one
+UNIT_GAIN = 1e-8  # smallest singular value of I − ∂g/∂z that counts
+UNIT_GAIN_POINTS = 0.0, 1.0, -0.37  # displacements in magnitudes of the unknowns
+RETRY_EXPONENTS = -3, 5  # exponents of 2 of other first points, where a component refuses the inputs
+MOST_DIFFERENCES = 50  # inputs of a loop without derivatives, beyond which Newton's method costs too much
 
-DOUBLINGS = 12  # number of doublings of the residual after which its growth is judged
-EVEN = 1.5  # largest ratio of steps for the second and first half of these doublings in exponential growth
-LARGE = 1e9  # residual, in nominal values, above which exponential growth ends the run
+RESIDUAL_DOUBLINGS = 12  # of the residual, for the judgement whether it grows without bound
+MAX_HALVES_RATIO = 1.5  # ratio of the steps that the second and the first half of these doublings take
+DIVERGED_RESIDUAL = 1e9  # residual in nominal values from which on such growth ends a run
 
 
 class DelayedLoop:
@@ -89,11 +87,11 @@ class DelayedLoop:
         if size <= 0.0 or (self._doublings and size < 2.0 * self._doublings[-1][1]):
             return False
         self._doublings.append((len(self._shares), size))
-        steps = [step for step, _ in self._doublings[-DOUBLINGS - 1 :]]
-        if size < LARGE or len(steps) <= DOUBLINGS:
+        steps = [step for step, _ in self._doublings[-RESIDUAL_DOUBLINGS - 1 :]]
+        if size < DIVERGED_RESIDUAL or len(steps) <= RESIDUAL_DOUBLINGS:
             return False
-        middle = steps[DOUBLINGS // 2]
-        return steps[-1] - middle <= EVEN * (middle - steps[0])
+        middle = steps[RESIDUAL_DOUBLINGS // 2]
+        return steps[-1] - middle <= MAX_HALVES_RATIO * (middle - steps[0])
 
     def record(self) -> dict[str, Any]:
         """Return the entry of the loop in the manifest."""
@@ -409,11 +407,9 @@ class LoopSolver:
             )
         else:
             more = ""
-            if abs(residual) <= ROUNDED * max(abs(value), roots.scale[worst]) and tolerance < PROPOSED:
-                more = (
-                    f", or a larger tolerance, because this residual is rounding (loops: {{tolerance: {PROPOSED:g}}})"
-                )
-            elif count >= self.settings.iterations:  # otherwise no step has reduced the residual
+            if abs(residual) <= ROUNDING_RESIDUAL * max(abs(value), roots.scale[worst]) and tolerance < PROPOSED:
+                more = f", or a larger tolerance: this residual is rounding (loops: {{tolerance: {PROPOSED:g}}})"
+            elif count >= self.settings.iterations:  # with fewer, no step leads nearer
                 more = f", or more iterations (loops: {{iterations: {5 * self.settings.iterations}}})"
             message = (
                 f"{self.name} does not converge: after {count} iterations {signal} is {value:.6g} with the "
@@ -437,8 +433,8 @@ class LoopSolver:
         return True
 
     def _outcome(self, z: Array) -> Outcome:
-        """Return the result of the iterations that start at z."""
-        shifts = (z + s * self._roots.scale for k in range(*RANGE) for s in (2.0**k, -(2.0**k)))
+        """Return the end of the iterations from z."""
+        shifts = (z + s * self._roots.scale for k in range(*RETRY_EXPONENTS) for s in (2.0**k, -(2.0**k)))
         for start in (z, *self._guesses, *shifts):
             if self.method == "newton":
                 outcome = self._roots.newton(self._sweep, start, self._slopes)

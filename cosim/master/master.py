@@ -25,7 +25,7 @@ from typing import Any
 
 import numpy as np
 
-from cosim.blocks.component import EarlyEnd, without_step
+from cosim.blocks.component import GET, EarlyEnd, without_step
 from cosim.blocks.event_mode import EventFmu
 from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.stepping import NEVER, NotCompiled, cores
@@ -35,7 +35,7 @@ from cosim.core.errors import CallFailed, DiskFull, NotFinite, SimulationError, 
 from cosim.core.messages import Note
 from cosim.files.files import hold_stops
 from cosim.files.results import Results
-from cosim.isolation.rows import CALLS, GET, OTHER, Rows
+from cosim.isolation.rows import CALLS, OTHER, Rows
 from cosim.master.c_loop import CompiledSteps
 from cosim.master.checkpoint import Keeper
 from cosim.master.copying import Copying
@@ -58,8 +58,8 @@ from cosim.system.control import rollback_obstacle
 from cosim.system.schedule import Stage, batches
 from cosim.system.system import System
 
-Progress = Callable[[int], None]  # called with the current communication point
-PROGRESS_EVERY = 50
+Progress = Callable[[int], None]  # receives the current communication point
+PROGRESS_EVERY_STEPS = 50
 
 
 class StoppedRun(Exception):
@@ -318,7 +318,7 @@ class Master:
         if self.inbox is not None:  # progress is reported when the inbox is read
             points.append(self.inbox.next_look(k))
         elif self.progress is not None:
-            points.append(-(-k // PROGRESS_EVERY) * PROGRESS_EVERY)
+            points.append(-(-k // PROGRESS_EVERY_STEPS) * PROGRESS_EVERY_STEPS)
         return min(points, default=NEVER)
 
     def change(self, k: int) -> None:
@@ -349,7 +349,7 @@ class Master:
             self._repeat_exact(k + 1)
         if self.keeper is not None:
             self.keeper.compare_rows(self, k)
-        if self.progress is not None and k and (self.inbox is not None or k % PROGRESS_EVERY == 0):
+        if self.progress is not None and k and (self.inbox is not None or k % PROGRESS_EVERY_STEPS == 0):
             self.progress(k)
 
     def _repeat_exact(self, rows: int) -> None:

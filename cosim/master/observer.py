@@ -1,8 +1,8 @@
 """Observers of a running simulation, and changes of parameters and inputs that arrive while it is stepped.
 
 An observer is, e.g., a progress bar, a live plot, a recorder, or a set of functions that set inputs. It sends changes
-and pauses through a `Control`. The master reads them from an `Inbox` about every `LOOK` seconds, and records the
-communication point, so that an event at this point can repeat the change.
+and pauses through a `Control`; the master takes them through an `Inbox` at its next look, about `LOOK_INTERVAL_S`
+later, and notes the communication point. An event at that point repeats the change.
 
 Changes are passed by files in a folder and by counters in shared memory. A counter counts a record only when it is
 complete. The recorded changes survive a crash of the master.
@@ -30,12 +30,12 @@ from cosim.system.events import Targets, Variable
 from cosim.system.system import System
 
 Values = Mapping[str, Mapping[str, Any]]  # component → variable → value
-LOOK = 0.01  # [s] between two reads of the inbox
-MOST_STEPS, MOST_IN_C = 50, 5000  # steps between two reads; the C loop returns at the latest after a second
-LATE = 0.5  # [s] after which steps count as slower than expected
-PAUSE = 0.01  # [s] between two reads during a pause
-SENT, NOTED = "sent", "noted"  # names of files in a folder
-MAX_CHARACTERS = 500  # characters of an error message
+LOOK_INTERVAL_S = 0.01  # [s] between looks
+MOST_STEPS, MOST_IN_C = 50, 5000  # steps between looks; the loop in C returns after a second at the latest
+LATE_LOOK_S = 0.5  # [s] after which steps have become slower than expected
+PAUSE_LOOK_INTERVAL_S = 0.01  # [s] between looks during a pause
+SENT, NOTED = "sent", "noted"  # files of a folder
+MAX_CHARACTERS = 500  # of an error message
 
 
 @dataclass(frozen=True)
@@ -63,10 +63,10 @@ class Inbox:
     def next_look(self, k: int) -> int:
         """Return the next point, from k on, at which to read the inbox; sooner if steps take long."""
         now = time.perf_counter()
-        if self._due < k or now - self._time > LATE:
+        if self._due < k or now - self._time > LATE_LOOK_S:
             rate = (k - self._point) / max(now - self._time, 1e-9) if self._time >= 0.0 else 0.0  # [steps/s]
             self._point, self._time = k, now
-            self._due = k - 1 + max(1, min(self.most, int(LOOK * rate)))
+            self._due = k - 1 + max(1, min(self.most, int(LOOK_INTERVAL_S * rate)))
         return self._due
 
     def take(self, k: int, events: Values) -> Values:
@@ -76,7 +76,7 @@ class Inbox:
             since = time.perf_counter()
             doing, counters.doing[0] = counters.doing[0], WAITING
             while counters.hold[0] and not counters.stop[0]:
-                time.sleep(PAUSE)
+                time.sleep(PAUSE_LOOK_INTERVAL_S)
             counters.doing[0] = doing
             self.pause = time.perf_counter() - since
         count = counters.sent[0]

@@ -8,13 +8,13 @@ from dataclasses import replace
 from itertools import count
 from typing import Any
 
-from cosim.blocks.component import Component, Row
+from cosim.blocks.component import ADVANCE, GET, PUT, Component, Row
 from cosim.blocks.event_mode import INITIALIZATION, EventFmu
 from cosim.blocks.fmu import FmuBlock
 from cosim.isolation import worker as here
 from cosim.isolation.limits import Limits
 from cosim.isolation.process import Remote, Worker
-from cosim.isolation.rows import ADVANCE, GET, OTHER, PUT
+from cosim.isolation.rows import OTHER
 from cosim.isolation.watch import Watch, fmi_calls
 from cosim.system.events import is_exchange
 from cosim.system.system import System

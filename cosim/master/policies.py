@@ -31,11 +31,12 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from cosim.blocks.component import GET
 from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.stepping import NotCompiled, cores
 from cosim.core.arrays import Array
 from cosim.core.errors import CosimError, SimulationError
-from cosim.isolation.rows import GET
+from cosim.core.times import STEP_COUNT_TOLERANCE
 from cosim.master.c_loop import CompiledSteps
 from cosim.master.checkpoint import NOT_RESTORED
 from cosim.master.copying import Copies
@@ -47,13 +48,12 @@ from cosim.system.schedule import Stage
 if TYPE_CHECKING:
     from cosim.master.master import Master
 
-SAFETY, PROPORTIONAL, INTEGRAL = 0.9, 0.4, 0.7  # factor of a step; exponents of last and current error, times q
-SMALLEST, LARGEST = 0.2, 4.0  # limits of the ratio of consecutive steps
-MUCH, MOST_NAMED = 0.01, 3  # error, as a share of a signal, above which the signal is named; number of names
+SAFETY, PROPORTIONAL, INTEGRAL = 0.9, 0.4, 0.7  # factor of a step; exponents times q of the last and the present error
+MIN_STEP_FACTOR, MAX_STEP_FACTOR = 0.2, 4.0  # change of a step
+MUCH, MOST_NAMED = 0.01, 3  # allowed error of a step as a share of a signal that is named; number of names
 TIMED, SLOW = 4, 50e-6  # first steps that are timed; shortest step [s] that is worth a thread, as in stepping.c
-LEAST_ERROR = 1e-4  # smallest error that the controller uses
-ROUNDING = 1e-9  # relative tolerance of rounding
-Judged = tuple[float, str]  # error of a step relative to the tolerance, and the signal with this error
+LEAST_ERROR = 1e-4  # smallest error that enters the controller
+Judged = tuple[float, str]  # error of a step relative to the tolerance, and the signal that has it
 
 
 class Active(NamedTuple):
@@ -324,8 +324,11 @@ class ControlledSteps(Policy):
     def _next(self, t: float, end: float) -> tuple[float, bool]:
         """Return the end of the next step, and True if no shorter step is allowed."""
         rest = end - t
-        most = math.floor(rest / self.control.shortest + ROUNDING), math.ceil(rest / self.control.longest - ROUNDING)
-        parts = min(max(1, math.ceil(rest / self.wish - ROUNDING)), max(1, *most))
+        most = (
+            math.floor(rest / self.control.shortest + STEP_COUNT_TOLERANCE),
+            math.ceil(rest / self.control.longest - STEP_COUNT_TOLERANCE),
+        )
+        parts = min(max(1, math.ceil(rest / self.wish - STEP_COUNT_TOLERANCE)), max(1, *most))
         return end if parts == 1 else t + rest / parts, parts == max(1, *most)
 
     # -- steps with event mode ------------------------------------------------------------------
@@ -339,7 +342,7 @@ class ControlledSteps(Policy):
         """Estimate the error of a step from the values at its end, and choose the next step."""
         error, name = self._judge_inputs(reached)
         self.made += 1
-        is_shortest = reached - t <= self.control.shortest * (1.0 + ROUNDING)
+        is_shortest = reached - t <= self.control.shortest * (1.0 + STEP_COUNT_TOLERANCE)
         self._accept(t, reached - t, error, name, final=is_shortest)
 
     # -- step sizes -------------------------------------------------------------------------------
@@ -358,8 +361,8 @@ class ControlledSteps(Policy):
                 self.missed.append((t, error, name))
         error = max(error, LEAST_ERROR)
         factor = SAFETY * error ** (-INTEGRAL / self.q) * self.before ** (PROPORTIONAL / self.q)
-        wish = h * min(max(factor, SMALLEST), LARGEST)
-        if factor >= 1.0:  # a step that was shortened to end at a row is no reason for shorter steps
+        wish = h * min(max(factor, MIN_STEP_FACTOR), MAX_STEP_FACTOR)
+        if factor >= 1.0:  # A step that the next row cuts short says nothing against longer ones.
             wish = max(wish, self.wish)
         self.wish, self.before = min(max(wish, self.control.shortest), self.control.longest), error
 
@@ -385,7 +388,7 @@ class ControlledSteps(Policy):
             return error, name
         before.restore()
         self.rejected += 1
-        shorter = (until - t) * max(SMALLEST, SAFETY * error ** (-1.0 / self.q))
+        shorter = (until - t) * max(MIN_STEP_FACTOR, SAFETY * error ** (-1.0 / self.q))
         self.wish = max(shorter, self.control.shortest)
         return math.nan, name
 

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from cosim.blocks.component import EarlyEnd
+from cosim.blocks.component import GET, EarlyEnd
 from cosim.core.drafts import is_full
 from cosim.core.errors import CosimError, DiskFull, SimulationError, Terminated, stop_error
 from cosim.core.messages import Note, with_prefix
@@ -26,8 +26,7 @@ from cosim.isolation import worker as here
 from cosim.isolation.limits import Limits
 from cosim.isolation.process import Worker
 from cosim.isolation.rows import (
-    FOLLOWED,
-    GET,
+    LIVE_ROWS_FILE,
     ExactFile,
     Progress,
     Rows,
@@ -39,17 +38,17 @@ from cosim.isolation.rows import (
 )
 from cosim.isolation.watch import Clock, ComponentTimes, Watch, fmi_calls
 from cosim.master.c_loop import compile_beforehand
-from cosim.master.checkpoint import BESIDE, ROWS, STATE, Continuation, Keeper, Keeping
+from cosim.master.checkpoint import BESIDE_FILE, ROWS_FILE, STATE_FILE, Continuation, Keeper, Keeping
 from cosim.master.master import Master, results_of
 from cosim.master.observer import MAX_CHARACTERS, Change, Control, Feed, Inbox, Observer
 from cosim.master.own_process import in_own_processes
 from cosim.system.recording import RecordedPart, take_signals
 from cosim.system.system import System
 
-MODULES = ("cosim.master.remote", "fmpy.fmi2", "fmpy.logging")
-PREFIX = ".rows-"
-IN_USE = "in-use"  # file that a worker locks while it writes checkpoints into a folder
-GRACE, SHORT_GRACE = 10.0, 2.0  # time [s] for a checkpoint when a run is stopped, if requested and otherwise
+RUN_MODULES = ("cosim.master.remote", "fmpy.fmi2", "fmpy.logging")
+ROWS_FOLDER_PREFIX = ".rows-"
+IN_USE = "in-use"  # file that a worker locks while it writes into a folder of checkpoints
+GRACE, SHORT_GRACE = 10.0, 2.0  # time [s] for a checkpoint at a stop, with and without checkpoints on request
 
 
 @dataclass(frozen=True)
@@ -118,7 +117,7 @@ def simulate_in(
             "step": h,
             "progress": str(worker.progress_file),
         }
-        followed = table.with_name(FOLLOWED)
+        followed = table.with_name(LIVE_ROWS_FILE)
         stack.callback(followed.unlink, missing_ok=True)
         with suppress(OSError):  # if the disk is full, the run cannot be followed live, but continues
             followed.write_text(json.dumps(about), encoding="utf-8")
@@ -154,10 +153,10 @@ def simulate_in(
             reason = " ".join(str(error).split())[:MAX_CHARACTERS]
             message = f"{call}: {type(error).__name__}: {reason} (--in-process shows where)"
             failure = SimulationError(component, t, message)
-        done = max(counters.made[0], given)  # rows of the stopped run are kept in any case
-        state = read_state(table.with_name(STATE)) if kept.folder is None else None
+        done = max(counters.made[0], given)  # A failure before the last given row loses none.
+        state = read_state(table.with_name(STATE_FILE)) if kept.folder is None else None
         values = read_table(table, done, columns, mapped=recording is not None)
-        beside, changes = read_exact(table.with_name(BESIDE), done), control.changes
+        beside, changes = read_exact(table.with_name(BESIDE_FILE), done), control.changes
         feed.end(values)
         time = system.start + h * np.arange(done, dtype=np.float64)
         if last is not None:
@@ -219,28 +218,28 @@ def _begin_rows(
     while rows >= max(given, 1):
         for parent in (folder or elsewhere, elsewhere) if kept.folder is None else (kept.folder,):
             if kept.folder is None:
-                temporary = scratch(PREFIX, parent)
+                temporary = scratch(ROWS_FOLDER_PREFIX, parent)
                 stack.callback(temporary.remove)
                 worker.take_along(temporary.path)
                 parent = temporary.path
-            new = parent / f"{ROWS}.new"
+            new = parent / f"{ROWS_FILE}.new"
             try:
                 allocate(new, 8 * columns * rows)
                 if kept.start is not None:
                     with new.open("r+b") as stream:
                         stream.write(kept.start.values.tobytes())
-                    write_durable(parent / BESIDE, b"".join(map(exact_line, kept.start.exact)))
+                    write_durable(parent / BESIDE_FILE, b"".join(map(exact_line, kept.start.exact)))
                     if kept.start.state is not None:
-                        write_durable(parent / STATE, kept.start.state)
+                        write_durable(parent / STATE_FILE, kept.start.state)
             except OSError as error:
                 new.unlink(missing_ok=True)
                 if not is_full(error):
                     raise
             else:
                 if kept.start is None:
-                    (parent / STATE).unlink(missing_ok=True)
-                    (parent / BESIDE).unlink(missing_ok=True)
-                return new.replace(parent / ROWS), rows
+                    (parent / STATE_FILE).unlink(missing_ok=True)
+                    (parent / BESIDE_FILE).unlink(missing_ok=True)
+                return new.replace(parent / ROWS_FILE), rows
         rows //= 2
     raise DiskFull("the run", 0.0, f"the disk is full: the rows of the run need {8e-6 * columns * count:.3g} MB")
 
@@ -286,11 +285,11 @@ def simulate_rows(
         progress.loop = loop.encode()[:255]
 
     lock = lock_file(place / IN_USE, create=True) if interval is not None else None
-    mapped, beside = mapped_table(table, rows, len(system.columns)), ExactFile(place / BESIDE)
+    mapped, beside = mapped_table(table, rows, len(system.columns)), ExactFile(place / BESIDE_FILE)
     keeper, start = None, None
     try:
         if keeps and given:
-            exact, state = read_exact(place / BESIDE, given), read_state(place / STATE)
+            exact, state = read_exact(place / BESIDE_FILE, given), read_state(place / STATE_FILE)
             start = Continuation(mapped[:given].copy(), exact, state)
         if keeps:
             keeper = Keeper(place, progress.asked, progress.ending, interval, start)

@@ -22,13 +22,13 @@ import numpy as np
 
 from cosim.core.arrays import Array, Flags
 
-SLOW = 0.25  # ratio of successive residuals above which the Jacobian is computed again
-SHORTEST = 2.0**-10  # smallest share of a Newton step
-MOST_FAILURES = 1  # failed iterations with a current Jacobian; after the first, it is computed by differences
+SLOW_CONVERGENCE_RATIO = 0.25  # ratio of successive residuals, above which the slopes are computed again
+MIN_NEWTON_SHARE = 2.0**-10  # smallest share of a Newton step
+MOST_FAILURES = 1  # failures of current slopes; after the first, they are computed from differences
 DEPTH = 8  # earlier iterates used by Anderson acceleration
-ROUNDED = 1e-13  # residual due to rounding, relative to the largest magnitude
-Map = Callable[[Array], "Array | None"]  # g; returns None at points where g is not defined
-Slopes = Callable[..., Array]  # (z, g(z), fresh) → ∂g/∂z at z; `fresh` requires differences
+ROUNDING_RESIDUAL = 1e-13  # residual of rounding, relative to the largest magnitude
+Map = Callable[[Array], "Array | None"]  # g, or None where it is not defined
+Slopes = Callable[..., Array]  # of z, g(z) and `fresh`, which demands differences: ∂g/∂z at z
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,7 @@ class RootFinding:
         """Return the largest change relative to the magnitude of its unknown, apart from rounding."""
         seen = np.max([np.abs(z), np.abs(z + residual), np.abs(change), self._solved + 0.0 * z], axis=0)
         scale = np.maximum(np.abs(z), np.where(self.is_assumed, np.minimum(self.scale, seen), self.scale))
-        counts = np.abs(change) > ROUNDED * max(self.largest, float(np.max(seen, initial=0.0)))
+        counts = np.abs(change) > ROUNDING_RESIDUAL * max(self.largest, float(np.max(seen, initial=0.0)))
         return float(np.max(np.abs(change[counts]) / scale[counts], initial=0.0))
 
     def size(self, z: Array, residual: Array) -> float:
@@ -112,7 +112,7 @@ class RootFinding:
                 moved = self._damped(g, z, direction, size)
             elif (there := g(ahead := z + direction)) is not None:  # the full step must reduce the residual clearly
                 after = self._own_size(ahead, there - ahead, there - ahead)
-                moved = (ahead, there, 1.0) if after <= SLOW * own[0] else None
+                moved = (ahead, there, 1.0) if after <= SLOW_CONVERGENCE_RATIO * own[0] else None
             if moved is None:
                 failures += is_current
                 self.slopes = None
@@ -120,7 +120,7 @@ class RootFinding:
             before, was, (z, value, share) = size, (z, value), moved
             residual = value - z
             size = self.size(z, residual)
-            is_slow = size > SLOW * before or share < 1.0
+            is_slow = size > SLOW_CONVERGENCE_RATIO * before or share < 1.0
             self.slopes = None if is_slow else self._updated(z, z - was[0], value - was[1])
         is_rough = is_small or self._own_size(z, residual, residual) > self.tolerance
         sizes = [float(np.max(np.abs(change) / first)) for change in (residual, direction)]
@@ -139,7 +139,7 @@ class RootFinding:
             residual = value - z
             own = self._own_size(z, residual, residual)
             is_small = self.size(z, residual) <= self.tolerance
-            stalls += own > SLOW * before
+            stalls += own > SLOW_CONVERGENCE_RATIO * before
             if iteration == self.most or (is_small and (own <= self.tolerance or stalls > z.size + 1)):
                 break
             before = own
@@ -174,7 +174,7 @@ class RootFinding:
     def _damped(self, g: Map, z: Array, direction: Array, size: float) -> tuple[Array, Array, float] | None:
         """Return a point z' with a smaller residual, g(z'), and the share of the full step that leads to z'."""
         share = 1.0
-        while share >= SHORTEST and np.isfinite(direction).all():
+        while share >= MIN_NEWTON_SHARE and np.isfinite(direction).all():
             ahead = z + share * direction
             value = g(ahead)
             if value is not None and self.size(ahead, value - ahead) <= max((1.0 - 0.1 * share) * size, self.tolerance):

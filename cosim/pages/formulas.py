@@ -16,11 +16,11 @@ import numpy as np
 from cosim.core.arrays import Array
 from cosim.core.errors import InputError
 from cosim.core.text import counted, showing, shown_unit
-from cosim.pages.rows import TIME, Recording
+from cosim.pages.rows import TIME_COLUMN, Recording
 from cosim.pages.runs import ViewedRun
 
-LONGEST = 500  # characters of a formula
-LARGEST = 10**308  # largest number; larger ones become infinite
+MAX_FORMULA_CHARACTERS = 500  # characters of a formula
+MAX_NUMBER = 10**308  # largest number; larger ones become infinite
 
 
 def derivative(time: Array, values: Array) -> Array:
@@ -53,11 +53,11 @@ def lowpass(time: Array, values: Array, constant: float) -> Array:
     return np.array(out)
 
 
-UNARY = ["abs", "sqrt", "sin", "cos", "tan", "arcsin", "arccos", "arctan", "exp", "log", "log10"]
-BINARY = {"atan2": np.arctan2, "hypot": np.hypot, "min": np.minimum, "max": np.maximum}
-PLAIN: dict[str, Callable[..., Any]] = {name.replace("arc", "a"): getattr(np, name) for name in UNARY} | BINARY
+OF_ONE = ["abs", "sqrt", "sin", "cos", "tan", "arcsin", "arccos", "arctan", "exp", "log", "log10"]
+OF_TWO = {"atan2": np.arctan2, "hypot": np.hypot, "min": np.minimum, "max": np.maximum}
+POINTWISE: dict[str, Callable[..., Any]] = {name.replace("arc", "a"): getattr(np, name) for name in OF_ONE} | OF_TWO
 OVER_TIME: dict[str, Callable[..., Array]] = {"der": derivative, "integral": integral, "lowpass": lowpass}
-FUNCTIONS = (*OVER_TIME, *PLAIN)
+FORMULA_FUNCTIONS = (*OVER_TIME, *POINTWISE)
 OPERATORS: dict[type[ast.AST], Callable[..., Any]] = {
     ast.UAdd: operator.pos,
     ast.USub: operator.neg,
@@ -82,29 +82,30 @@ def evaluate(text: str, signals: Mapping[str, tuple[Recording, str]], name: str 
     notes: list[str] = []
 
     def refuse(reason: str) -> NoReturn:
-        cure = f"allowed are + - * / **, numbers, the letter of each signal in the legend, and {', '.join(FUNCTIONS)}"
-        raise InputError.at(Path("formula"), f"{text[:LONGEST]}: {reason}; {cure}")
+        functions = ", ".join(FORMULA_FUNCTIONS)
+        cure = f"allowed are + - * / **, numbers, the letter of each signal in the legend, and {functions}"
+        raise InputError.at(Path("formula"), f"{text[:MAX_FORMULA_CHARACTERS]}: {reason}; {cure}")
 
     def value(node: ast.AST) -> Any:
         match node:
             case ast.Constant(value=int() | float() as number) if not isinstance(number, bool):
-                return np.float64(number) if abs(number) < LARGEST else np.float64(np.inf)
+                return np.float64(number) if abs(number) < MAX_NUMBER else np.float64(np.inf)
             case ast.Name(id="t"):
                 return time
             case ast.Name(id=letter) if letter in signals:
                 rows, signal = signals[letter]
                 values = rows.read(signal)
-                return values if rows is own else np.interp(time, rows.read(TIME), values, np.nan, np.nan)
+                return values if rows is own else np.interp(time, rows.read(TIME_COLUMN), values, np.nan, np.nan)
             case ast.UnaryOp(op=op, operand=operand) if type(op) in OPERATORS:
                 return OPERATORS[type(op)](value(operand))
             case ast.BinOp(op=op, left=left, right=right) if type(op) in OPERATORS:
                 return OPERATORS[type(op)](value(left), value(right))
-            case ast.Call(func=ast.Name(id=function), args=arguments, keywords=[]) if function in FUNCTIONS:
-                count = 2 if function in BINARY or function == "lowpass" else 1
+            case ast.Call(func=ast.Name(id=function), args=arguments, keywords=[]) if function in FORMULA_FUNCTIONS:
+                count = 2 if function in OF_TWO or function == "lowpass" else 1
                 if len(arguments) != count:
                     refuse(f"{function} takes {counted(count, 'argument')}")
                 numbers = [value(each) for each in arguments]
-                return PLAIN[function](*numbers) if function in PLAIN else over_time(function, *numbers)
+                return POINTWISE[function](*numbers) if function in POINTWISE else over_time(function, *numbers)
         return refuse(f"{ast.unparse(node)} is not allowed")
 
     def over_time(function: str, values: Any, *constants: Any) -> Array:
@@ -120,10 +121,10 @@ def evaluate(text: str, signals: Mapping[str, tuple[Recording, str]], name: str 
         out[rows] = OVER_TIME[function](time[rows], values[rows], *map(float, constants))
         return out
 
-    if not signals or len(text) > LONGEST:
+    if not signals or len(text) > MAX_FORMULA_CHARACTERS:
         refuse("it has no signal" if not signals else "it is too long")
     own = next(iter(signals.values()))[0]
-    time = own.read(TIME)
+    time = own.read(TIME_COLUMN)
     try:
         tree = ast.parse(text.strip(), mode="eval").body
     except (SyntaxError, ValueError, RecursionError, MemoryError):
@@ -169,7 +170,7 @@ class Derivations:
         """
         made = next(iter(definition.of.values()))[0], name
         rows = self._runs[made[0]].rows
-        if name in rows.units or name in rows.texts or name == TIME:
+        if name in rows.units or name in rows.texts or name == TIME_COLUMN:
             raise InputError.at(Path("name"), f"{name} is a signal of the run; give another name")
         with self._lock:
             before, self._definitions = self._definitions, {**self._definitions, made: definition}

@@ -11,10 +11,10 @@ from pydantic import BaseModel, Field, FiniteFloat, ValidationError
 from cosim.core.errors import InputError
 from cosim.files.files import open_bytes, parse_json, write_json
 
-LONGEST = 80  # characters of a name
+MAX_LAYOUT_NAME_CHARACTERS = 80  # characters of a name
 MOST_AXES = 4  # of a plot
-MOST_BYTES = 1 << 26  # of a file
-LayoutName = Annotated[str, Field(min_length=1, max_length=LONGEST, pattern=r"\S")]
+MAX_LAYOUTS_BYTES = 1 << 26  # of a file
+LayoutName = Annotated[str, Field(min_length=1, max_length=MAX_LAYOUT_NAME_CHARACTERS, pattern=r"\S")]
 
 
 class SignalPlace(BaseModel):
@@ -107,7 +107,7 @@ class Layouts:
         """Return name → layout."""
         try:
             with open_bytes(self.file) as stream:
-                content = parse_json(stream.read(MOST_BYTES))
+                content = parse_json(stream.read(MAX_LAYOUTS_BYTES))
         except FileNotFoundError:
             return {}
         except (OSError, ValueError, RecursionError):

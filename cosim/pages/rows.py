@@ -31,11 +31,11 @@ from cosim.files.files import scratch_folder
 from cosim.files.folders import content_of
 from cosim.files.results import is_rounded, read_results
 
-BLOCK = 16  # rows of a block
-BLOCKS = 4  # minimum number of blocks per pixel column, so that an edge is wrong by at most a quarter of a column
-MAX_ROWS = 2  # rows per pixel column up to which rows are drawn unchanged
-ROOM = 4096  # rows for which a growing recording has room at first
-TIME = "time"
+BLOCK_ROWS = 16  # rows of a block
+MIN_BLOCKS_PER_PIXEL = 4  # blocks per pixel column, so that an edge is wrong by at most a quarter of a column
+MAX_ROWS_PER_PIXEL = 2  # rows per pixel column up to which rows are drawn unchanged
+FIRST_CAPACITY_ROWS = 4096  # rows for which a growing recording has room at first
+TIME_COLUMN = "time"
 
 
 def finite(values: Array) -> Array:
@@ -97,8 +97,8 @@ class Recording:
         self.rounded = [name for name in texts if name in columns and is_rounded(columns[name])]
         self.inexact: Sequence[str] = ()
         self.assumed: Sequence[str] = ()
-        self._columns = {TIME: np.zeros(0), **columns}
-        self.rows = self._columns[TIME].size
+        self._columns = {TIME_COLUMN: np.zeros(0), **columns}
+        self.rows = self._columns[TIME_COLUMN].size
         self._table = np.empty((1 + len(units), 0))  # of a growing recording, with room for further rows
         self._extremes: dict[str, tuple[int, Array, Array]] = {}  # column → covered rows, extremes of their blocks
         self._lock = threading.RLock()
@@ -108,11 +108,11 @@ class Recording:
         with self._lock:
             before, rows = self.rows, self.rows + values.shape[1]
             if rows > self._table.shape[1]:
-                table = np.empty((len(values), max(ROOM, 2 * rows)))
+                table = np.empty((len(values), max(FIRST_CAPACITY_ROWS, 2 * rows)))
                 table[:, :before] = self._table[:, :before]
                 self._table = table
             self._table[:, before:rows] = values
-            self._columns |= dict(zip((TIME, *self.units), self._table[:, :rows], strict=True))
+            self._columns |= dict(zip((TIME_COLUMN, *self.units), self._table[:, :rows], strict=True))
             self.rows = rows
 
     def unit(self, name: str) -> str:
@@ -148,11 +148,11 @@ class Recording:
 
     def locate(self, time: float, side: Literal["left", "right"] = "left") -> int:
         """Return the number of rows before a time [s]; with `right`, rows at the time are included."""
-        return int(np.searchsorted(self.column(TIME), time, side))
+        return int(np.searchsorted(self.column(TIME_COLUMN), time, side))
 
     def span(self) -> tuple[float, float]:
         """Return the first and the last time [s], zeros without rows."""
-        time = self.column(TIME) if self.rows else np.zeros(1)
+        time = self.column(TIME_COLUMN) if self.rows else np.zeros(1)
         return float(time[0]), float(time[-1])
 
     def extremes(self, name: str) -> tuple[Array, Array]:
@@ -161,27 +161,27 @@ class Recording:
             values = self.column(name)
             covered, low, high = self._extremes.get(name, (0, np.empty(0), np.empty(0)))
             if covered != values.size:  # the last block may be incomplete
-                begin = covered // BLOCK
-                rest = np.append(finite(values[begin * BLOCK :]), np.full(-values.size % BLOCK, np.nan))
-                low = np.append(low[:begin], np.fmin.reduce(rest.reshape(-1, BLOCK), axis=1))
-                high = np.append(high[:begin], np.fmax.reduce(rest.reshape(-1, BLOCK), axis=1))
+                begin = covered // BLOCK_ROWS
+                rest = np.append(finite(values[begin * BLOCK_ROWS :]), np.full(-values.size % BLOCK_ROWS, np.nan))
+                low = np.append(low[:begin], np.fmin.reduce(rest.reshape(-1, BLOCK_ROWS), axis=1))
+                high = np.append(high[:begin], np.fmax.reduce(rest.reshape(-1, BLOCK_ROWS), axis=1))
                 self._extremes[name] = values.size, low, high
             return low, high
 
     def picture(self, begin: float, end: float, width: int) -> Picture:
         """Return the rows and blocks to draw for a time range [s] with `width` pixel columns."""
         first, stop = max(0, self.locate(begin) - 1), min(self.rows, self.locate(end, "right") + 1)
-        blocks, time, pixel = np.arange(0), self.column(TIME), (end - begin) / width
-        if stop - first <= MAX_ROWS * width:
+        blocks, time, pixel = np.arange(0), self.column(TIME_COLUMN), (end - begin) / width
+        if stop - first <= MAX_ROWS_PER_PIXEL * width:
             return Picture(self, blocks, slice(first, stop), time[first:stop], slice(None), None)
         rows = np.arange(first, stop)
-        if rows.size >= BLOCKS * BLOCK * width:  # blocks that are not wider than a pixel
-            blocks = np.arange(first // BLOCK, -(-stop // BLOCK))
-            is_wide = time[np.minimum((blocks + 1) * BLOCK, time.size) - 1] - time[blocks * BLOCK] > pixel
-            rows = (blocks[is_wide, None] * BLOCK + np.arange(BLOCK)).ravel()
+        if rows.size >= MIN_BLOCKS_PER_PIXEL * BLOCK_ROWS * width:  # blocks that are not wider than a pixel
+            blocks = np.arange(first // BLOCK_ROWS, -(-stop // BLOCK_ROWS))
+            is_wide = time[np.minimum((blocks + 1) * BLOCK_ROWS, time.size) - 1] - time[blocks * BLOCK_ROWS] > pixel
+            rows = (blocks[is_wide, None] * BLOCK_ROWS + np.arange(BLOCK_ROWS)).ravel()
             blocks, rows = blocks[~is_wide], rows[rows < time.size]
-        since = np.append(time[blocks * BLOCK], time[rows])
-        until = np.append(time[np.minimum((blocks + 1) * BLOCK, time.size) - 1], time[rows])
+        since = np.append(time[blocks * BLOCK_ROWS], time[rows])
+        until = np.append(time[np.minimum((blocks + 1) * BLOCK_ROWS, time.size) - 1], time[rows])
         order = np.argsort(since, kind="stable")
         since, until = since[order], until[order]
         starts = np.flatnonzero(np.diff(np.clip(np.floor((since - begin) / pixel), -1, width), prepend=-2.0))
@@ -189,10 +189,11 @@ class Recording:
         return Picture(self, blocks, rows, middle, order, starts)
 
 
-FOLDER, ROWS, ABOUT, TEXTS, VERSION = "view", "rows", "about.json", "texts.arrow", 7
-UNUSED = 30 * 86_400.0  # age [s] above which a conversion is removed
+VIEW_FOLDER, VIEW_VERSION = "view", 7
+VIEW_ROWS_FILE, VIEW_ABOUT_FILE, VIEW_TEXTS_FILE = "rows", "about.json", "texts.arrow"
+UNUSED_AGE_S = 30 * 86_400.0  # age [s] above which a conversion is removed
 DRAFT = "draft-"  # prefix of an unfinished conversion
-SMALL = 4_000_000  # largest table that is kept in memory [bytes]
+MAX_MEMORY_BYTES = 4_000_000  # largest table that is kept in memory [bytes]
 
 
 def open_rows(path: Path, **about: Any) -> Recording:
@@ -205,16 +206,16 @@ def open_rows(path: Path, **about: Any) -> Recording:
         InputError: The table has faults, or no rows.
     """
     status = path.stat() if path.is_file() else None
-    if status is None or status.st_size <= SMALL:
+    if status is None or status.st_size <= MAX_MEMORY_BYTES:
         return _read(path, about)
-    place = cache_folder() / FOLDER / _key(path, status, about)
-    if content_of(place / ABOUT):
+    place = cache_folder() / VIEW_FOLDER / _key(path, status, about)
+    if content_of(place / VIEW_ABOUT_FILE):
         os.utime(place)
     else:
         place.parent.mkdir(mode=0o700, exist_ok=True)
         for each in place.parent.iterdir():  # conversions not used for a long time
             with suppress(OSError):
-                if not each.name.startswith(DRAFT) and time.time() - each.stat().st_mtime > UNUSED:
+                if not each.name.startswith(DRAFT) and time.time() - each.stat().st_mtime > UNUSED_AGE_S:
                     shutil.rmtree(each)
         with scratch_folder(place.parent, DRAFT) as folder:
             draft = folder / place.name
@@ -223,10 +224,10 @@ def open_rows(path: Path, **about: Any) -> Recording:
             shutil.rmtree(place, ignore_errors=True)
             with suppress(OSError):  # Another command was faster.
                 shutil.move(draft, place)
-    known: Any = content_of(place / ABOUT)
-    names = [TIME, *known["units"]]
-    table: Any = np.memmap(place / ROWS, np.float64, "r").reshape(len(names), -1).view(np.ndarray)
-    texts = feather.read_table(place / TEXTS, memory_map=True) if known["texts"] else None
+    known: Any = content_of(place / VIEW_ABOUT_FILE)
+    names = [TIME_COLUMN, *known["units"]]
+    table: Any = np.memmap(place / VIEW_ROWS_FILE, np.float64, "r").reshape(len(names), -1).view(np.ndarray)
+    texts = feather.read_table(place / VIEW_TEXTS_FILE, memory_map=True) if known["texts"] else None
     strings = {name: texts.column(k) for k, name in enumerate(known["texts"])} if texts is not None else {}
     recording = Recording(dict(zip(names, table, strict=True)), known["units"], strings)
     recording.inexact, recording.assumed = known["inexact"], known["assumed"]
@@ -236,7 +237,7 @@ def open_rows(path: Path, **about: Any) -> Recording:
 def _key(path: Path, status: os.stat_result, about: dict[str, Any]) -> str:
     """Return a key of the content of a file and of its types; a renamed file keeps its key."""
     content = status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns
-    types = json.dumps([VERSION, path.suffix, content, about], sort_keys=True, default=sorted)
+    types = json.dumps([VIEW_VERSION, path.suffix, content, about], sort_keys=True, default=sorted)
     return sha256(types.encode()).hexdigest()
 
 
@@ -245,7 +246,7 @@ def _read(path: Path, about: dict[str, Any]) -> Recording:
     if not results.time.size:
         raise InputError.at(path, "has no rows yet; wait for the end of the run, or run it again")
     shown = results.with_integers()
-    columns = {TIME: shown.time, **{printable(name): shown[name] for name in shown.columns}}
+    columns = {TIME_COLUMN: shown.time, **{printable(name): shown[name] for name in shown.columns}}
     units = {printable(name): printable(shown.units.get(name, "")) for name in shown.columns}
     recording = Recording(columns, units, {printable(name): values for name, values in shown.texts().items()})
     recording.assumed = results.notes
@@ -254,12 +255,12 @@ def _read(path: Path, about: dict[str, Any]) -> Recording:
 
 
 def _write(recording: Recording, folder: Path) -> None:
-    with (folder / ROWS).open("wb") as stream:
-        for name in (TIME, *recording.units):
+    with (folder / VIEW_ROWS_FILE).open("wb") as stream:
+        for name in (TIME_COLUMN, *recording.units):
             stream.write(recording.column(name).tobytes())
     texts = [pa.array(values, pa.string()) for values in recording.texts.values()]
     if texts:
         table = pa.table(texts, [*map(str, range(len(texts)))])
-        feather.write_feather(table, folder / TEXTS, compression="uncompressed")
+        feather.write_feather(table, folder / VIEW_TEXTS_FILE, compression="uncompressed")
     about = {"units": recording.units, "texts": [*recording.texts], "inexact": recording.inexact}
-    (folder / ABOUT).write_text(json.dumps({**about, "assumed": recording.assumed}), encoding="utf-8")
+    (folder / VIEW_ABOUT_FILE).write_text(json.dumps({**about, "assumed": recording.assumed}), encoding="utf-8")

@@ -22,19 +22,19 @@ from cosim.files.folders import manifest_in, replay_record, run_name, status_in,
 from cosim.files.kinds import check_given, refuse_folder
 from cosim.files.results import rows_in
 from cosim.files.run_entries import Entry, Selected, entries, select_groups
-from cosim.isolation.rows import FOLLOWED, Progress
-from cosim.master.checkpoint import ROWS
-from cosim.pages.rows import TIME, Recording, open_rows
-from cosim.sweeps.store import TABLE, read_runs
+from cosim.isolation.rows import LIVE_ROWS_FILE, Progress
+from cosim.master.checkpoint import ROWS_FILE
+from cosim.pages.rows import TIME_COLUMN, Recording, open_rows
+from cosim.simulation.run_signals import RUN_OR_TABLE
+from cosim.sweeps.store import SWEEP_TABLE, read_runs
 
 NO_ROWS = "has no rows to draw{status}; give folders of runs, or tables with time in the first column"
-LOST = "{label} was removed or replaced; the page shows the rows read before"
-MAX_RUNS = 20  # results listed by name in a message
-MAX_NAMES = 5  # signals in a note
-LOOK = 1.0  # [s] between checks of a file
-SHARE = 5.0  # time between readings of a growing file, as a multiple of the reading time
+FILE_LOST = "{label} was removed or replaced; the rows that were read stay"
+MAX_VIEWED = 20  # results listed by name in a message
+MAX_NOTED_SIGNALS = 5  # signals in a note
+FILE_CHECK_INTERVAL_S = 1.0  # [s] between checks of a file
+REREAD_INTERVAL_RATIO = 5.0  # time between readings of a growing file, as a multiple of the reading time
 NO_COLUMNS: Mapping[str, str] = MappingProxyType({})
-WANTED = "the folder of a run or a table of its rows"
 
 
 @dataclass(frozen=True)
@@ -84,7 +84,7 @@ class ViewedRun:
 
     @property
     def _is_running(self) -> bool:
-        return self.place.file.name == FOLLOWED
+        return self.place.file.name == LIVE_ROWS_FILE
 
     def _open(self) -> Recording:
         file, folder, begin = self.place.file, self.place.file.parent, time.monotonic()
@@ -103,9 +103,9 @@ class ViewedRun:
             (rows.inexact, "read as the nearest double"),
         ):
             if names:
-                some = ", ".join(names[:MAX_NAMES])
+                some = ", ".join(names[:MAX_NOTED_SIGNALS])
                 self.notes.append(Note(f"{self.place.label}: integers of {some} above 2^53 are {text}"))
-        self._due = time.monotonic() + max(LOOK, SHARE * (time.monotonic() - begin))
+        self._due = time.monotonic() + max(FILE_CHECK_INTERVAL_S, REREAD_INTERVAL_RATIO * (time.monotonic() - begin))
         return rows
 
     @property
@@ -121,7 +121,7 @@ class ViewedRun:
         about = json.loads(self.place.file.read_text(encoding="utf-8"))
         made = int(Progress.from_buffer_copy(Path(about["progress"]).read_bytes()).made[0])
         if made > rows.rows:
-            table = np.memmap(self.place.file.with_name(ROWS), np.float64, "r", shape=(made, len(about["units"])))
+            table = np.memmap(self.place.file.with_name(ROWS_FILE), np.float64, "r", shape=(made, len(about["units"])))
             time = about["start"] + about["step"] * np.arange(rows.rows, made)
             rows.append(np.vstack((time, table[rows.rows :].T)))
 
@@ -141,7 +141,7 @@ class ViewedRun:
             if (rows := rows_in(folder)) is None:
                 return False  # the run has ended, and its results are being written
             self.place = replace(self.place, file=rows, entry=None)
-        state, lost = file_state(self.place.file), LOST.format(label=self.place.label)
+        state, lost = file_state(self.place.file), FILE_LOST.format(label=self.place.label)
         if state == (0, 0):
             self.lost = lost
         if self.lost or state == self._state or time.monotonic() < self._due:
@@ -186,9 +186,9 @@ def find_runs(
         found = [place for entry in entries(results) if (place := _of_entry(entry, is_named=False)) is not None]
         if not found:
             raise InputError.at(results, "has no results with rows; run a scenario first, or give folders and tables")
-        if len(found) > MAX_RUNS:
-            notes.append(f"the newest {MAX_RUNS} of {len(found)} results are shown; to see others, give their names")
-        return _differing(found[-MAX_RUNS:]), [*map(Note, notes)]
+        if len(found) > MAX_VIEWED:
+            notes.append(f"the newest {MAX_VIEWED} of {len(found)} results are shown; to see others, give their names")
+        return _differing(found[-MAX_VIEWED:]), [*map(Note, notes)]
     found = []
     for text, group in zip(texts, select_groups(texts, results), strict=True):
         try:
@@ -230,20 +230,22 @@ def _places(
     if selected.by_pattern:
         return []
     swept = read_runs(path)
-    time, runs = swept.signals(MAX_RUNS) if swept is not None else (np.zeros(0), {})
+    time, runs = swept.signals(MAX_VIEWED) if swept is not None else (np.zeros(0), {})
     if swept is None or not runs:
         if earlier := [place for e in series if (place := _of_entry(e, is_named=True)) is not None]:
             notes.append(f"{path} has no rows to draw; the newest run that has, {earlier[-1].label}, is shown")
             return earlier[-1:]
-        refuse_folder(path, WANTED)
+        refuse_folder(path, RUN_OR_TABLE)
         raise InputError.at(path, NO_ROWS.format(status=status_in(path)))
     units, display = swept.record["units"], swept.record.get("display") or {}
     notes.append(
         f"{name} is a sweep; {len(runs)} of its {counted(swept.record['runs'], 'run')} are shown, at the times that "
         "the sweep stored"
     )
-    labels = {f"{name} run {number}": Recording({TIME: time, **signals}, units) for number, signals in runs.items()}
-    return [RunPlace(n, n, path / TABLE, rows=rows, display=display) for n, rows in labels.items()]
+    labels = {
+        f"{name} run {number}": Recording({TIME_COLUMN: time, **signals}, units) for number, signals in runs.items()
+    }
+    return [RunPlace(n, n, path / SWEEP_TABLE, rows=rows, display=display) for n, rows in labels.items()]
 
 
 def open_runs(
@@ -283,7 +285,7 @@ def _rows_of(folder: Path) -> Path | None:
     """Return the file with a run's rows; for a running simulation, the file with the location of its rows."""
     if (rows := rows_in(folder)) is not None:
         return rows
-    for followed in folder.glob(f"*/{FOLLOWED}"):
+    for followed in folder.glob(f"*/{LIVE_ROWS_FILE}"):
         with suppress(OSError, ValueError):  # the run ends meanwhile
             if Path(json.loads(followed.read_text(encoding="utf-8"))["progress"]).is_file():
                 return followed

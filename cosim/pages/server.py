@@ -41,13 +41,13 @@ from cosim.files.files import parse_json
 
 ADDRESS = "127.0.0.1"
 MAX_BODY = 1 << 16  # [bytes]
-MAX_CONNECTIONS = 64
+MAX_HTTP_CONNECTIONS = 64
 TICK = 0.1  # [s] between two updates of a page
 ALIVE = 1.0  # [s] between keep-alive messages in the stream of states
 FIRST_PAGE = 20.0  # [s] within which a page must be opened
 RELOAD = 2.0  # [s] without a page, as during a reload, after which the server ends
 DISPLAYS = ("DISPLAY", "WAYLAND_DISPLAY", "BROWSER")
-NOTHING = "default-src 'none'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+DENY_ALL_POLICY = "default-src 'none'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
 SANDBOX = "sandbox allow-scripts allow-downloads allow-modals"  # a page in an origin of its own
 SAFE = {
     "Cache-Control": "no-store",
@@ -56,7 +56,7 @@ SAFE = {
     "Referrer-Policy": "no-referrer",
     "Cross-Origin-Resource-Policy": "same-origin",
     "Cross-Origin-Opener-Policy": "same-origin",
-    "Content-Security-Policy": NOTHING,
+    "Content-Security-Policy": DENY_ALL_POLICY,
 }
 OPENING = (
     '<!DOCTYPE html><meta charset="utf-8"><meta http-equiv="refresh" content="0; url={url}"><title>{title}</title>'
@@ -83,7 +83,7 @@ def html_response(page: str, *, alone: bool = False) -> Response:
         texts = re.findall(rf"<{kind}>(.*?)</{kind}>", page, re.DOTALL)
         digests = (base64.b64encode(hashlib.sha256(text.encode()).digest()).decode() for text in texts)
         allowed.append(" ".join(f"'sha256-{digest}'" for digest in digests) or "'none'")
-    parts = [NOTHING, f"script-src {allowed[0]}", f"style-src-elem {allowed[1]}"]
+    parts = [DENY_ALL_POLICY, f"script-src {allowed[0]}", f"style-src-elem {allowed[1]}"]
     parts += ["style-src-attr 'unsafe-inline'", "img-src data: blob:"]  # Charts position their ticks by attributes.
     policy = "; ".join([*parts, SANDBOX if alone else "connect-src 'self'"])
     return Response(page, media_type="text/html", headers={"Content-Security-Policy": policy})
@@ -137,7 +137,7 @@ class ServedPage:
             lifespan="off",
             access_log=False,
             server_header=False,
-            limit_concurrency=MAX_CONNECTIONS,
+            limit_concurrency=MAX_HTTP_CONNECTIONS,
             timeout_graceful_shutdown=0,
         )
         self._server = uvicorn.Server(settings)
@@ -284,7 +284,7 @@ def _listen(port: int) -> socket.socket:
         made.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
         made.bind((ADDRESS, port))
-        made.listen(MAX_CONNECTIONS)
+        made.listen(MAX_HTTP_CONNECTIONS)
     except (OSError, OverflowError) as error:
         made.close()
         reason = error.strerror if isinstance(error, OSError) else "allowed are ports from 1 to 65535"

@@ -25,14 +25,14 @@ from cosim.files.csv_source import cell_text, write_table
 from cosim.files.files import parse_json
 from cosim.pages.formulas import Definition, Derivations
 from cosim.pages.layouts import Layouts, check_layouts
-from cosim.pages.rows import TIME, Picture
-from cosim.pages.runs import LOOK, ViewedRun
+from cosim.pages.rows import TIME_COLUMN, Picture
+from cosim.pages.runs import FILE_CHECK_INTERVAL_S, ViewedRun
 from cosim.pages.server import Handler, Json, ServedPage
 from cosim.report.template import render
 
 TEMPLATE = Path(__file__).with_name("templates") / "view.html.j2"
-MAX_WIDTH = 8192  # pixel columns of a time plot, points of an x-y plot
-MAX_CELLS = 50_000_000  # values of an exported table
+MAX_PIXELS = 8192  # pixel columns of a time plot, points of an x-y plot
+MAX_EXPORTED_VALUES = 50_000_000  # values of an exported table
 MIN_SPECTRUM, MAX_SPECTRUM, MAX_SEGMENT = 16, 20_000_000, 16_384  # rows of a spectrum, and of its longest segment
 Signal = tuple[int, str]  # number of the run, name
 Curve = tuple[ViewedRun, str]
@@ -44,7 +44,7 @@ class Wanted(BaseModel):
     begin: FiniteFloat = Field(0.0, alias="from")
     end: FiniteFloat = Field(1.0, alias="to")
     at: FiniteFloat = 0.0
-    width: int = Field(1, gt=0, le=MAX_WIDTH)
+    width: int = Field(1, gt=0, le=MAX_PIXELS)
     curves: list[Signal]
     across: list[Signal] = []
 
@@ -88,7 +88,7 @@ class Viewer:
     def state(self) -> dict[str, Any]:
         """Return the numbers of rows, the time ranges, and the reasons why runs are lost."""
         with self._lock:
-            if time.monotonic() - self._looked > LOOK:
+            if time.monotonic() - self._looked > FILE_CHECK_INTERVAL_S:
                 grown = [k for k, run in enumerate(self.runs) if run.follow()]
                 self._derivations.renew(grown)
                 self._looked = time.monotonic()
@@ -133,7 +133,7 @@ class Viewer:
             rows = run.rows
             first, stop = max(0, rows.locate(wanted.begin) - 1), min(rows.rows, rows.locate(wanted.end, "right") + 1)
             step = max(1, -(-(stop - first) // max(2, wanted.width)))
-            columns = [self._shown(run, name, rows.read(name, first, stop)[::step]) for name in (TIME, x, y)]
+            columns = [self._shown(run, name, rows.read(name, first, stop)[::step]) for name in (TIME_COLUMN, x, y)]
             return [np.array([columns[0].size, float(step)]), *columns]
 
         curves, across = self._curves(wanted.curves), self._curves(wanted.across)
@@ -178,7 +178,7 @@ class Viewer:
     def _between(self, run: ViewedRun, name: str, wanted: Wanted) -> tuple[Array, Array]:
         """Return times and displayed values of a signal between two times, without missing values."""
         first, stop = run.rows.locate(wanted.begin), run.rows.locate(wanted.end, "right")
-        time, values = run.rows.read(TIME, first, stop), self._shown(run, name, run.rows.read(name, first, stop))
+        time, values = run.rows.read(TIME_COLUMN, first, stop), self._shown(run, name, run.rows.read(name, first, stop))
         has_value = np.isfinite(values)
         return time[has_value], values[has_value]
 
@@ -189,7 +189,7 @@ class Viewer:
             row = run.rows.locate(wanted.at, "right") - 1
             if row < 0:
                 return [np.full(2, np.nan)]
-            return [self._shown(run, each, run.rows.read(each, row, row + 1)) for each in (TIME, name)]
+            return [self._shown(run, each, run.rows.read(each, row, row + 1)) for each in (TIME_COLUMN, name)]
 
         return _arrays(value, self._curves(wanted.curves))
 
@@ -227,13 +227,13 @@ class Viewer:
         wanted = _read(Wanted, content)
         curves = self._curves(wanted.curves, texts=True)
         spans = [(run.rows.locate(wanted.begin), run.rows.locate(wanted.end, "right")) for run, _ in curves]
-        if (cells := sum(stop - first for first, stop in spans)) > MAX_CELLS:
-            limit = f"more than {MAX_CELLS / 1e6:.0f} million; zoom in first"
+        if (cells := sum(stop - first for first, stop in spans)) > MAX_EXPORTED_VALUES:
+            limit = f"more than {MAX_EXPORTED_VALUES / 1e6:.0f} million; zoom in first"
             raise InputError.at(Path("export"), f"the selection has {cells / 1e6:.0f} million values, {limit}")
         several, heads = len({id(run) for run, _ in curves}) > 1, ["time"]
         columns, places = list[Array | list[str]](), [np.empty((0, 2))]
         for (run, name), span in zip(curves, spans, strict=True):
-            at, unit = run.rows.read(TIME, *span), run.rows.unit(name)
+            at, unit = run.rows.read(TIME_COLUMN, *span), run.rows.unit(name)
             heads.append(f"{f'{run.place.label}: ' * several}{name}{f' [{unit}]' * bool(unit)}")
             columns.append(run.rows.exact(name, *span))
             # time, and the number among rows of the same time, all of which are kept
@@ -275,7 +275,7 @@ class Viewer:
         for number, name in signals:
             rows = self.runs[number].rows if 0 <= number < len(self.runs) else None
             if rows is None or not (
-                name == TIME or name in rows.units or name in rows.added or (texts and name in rows.texts)
+                name == TIME_COLUMN or name in rows.units or name in rows.added or (texts and name in rows.texts)
             ):
                 raise _refused("a run and one of its signals")
         return [(self.runs[number], name) for number, name in signals]

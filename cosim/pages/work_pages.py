@@ -23,7 +23,7 @@ from cosim.pages.rows import Recording
 from cosim.pages.runs import RunPlace, ViewedRun
 from cosim.pages.server import FIRST_PAGE, RELOAD, Handler, Json, Part, ServedPage, html_response
 from cosim.pages.view_page import Viewer, view_html
-from cosim.refinement.stages import ORDER, Watcher, stage_number
+from cosim.refinement.stages import STAGE_MESSAGES, Watcher, stage_number
 from cosim.report.template import render
 from cosim.simulation.criteria import sentence
 from cosim.simulation.run_signals import Run
@@ -350,14 +350,14 @@ class LiveRefine(WorkPage, Watcher):
         state = super().state()
         with self._lock:
             times = [*self._times, self._begin + state["elapsed"]]
-            done = len(ORDER) if state["phase"] == "finished" else self._number - 1
+            done = len(STAGE_MESSAGES) if state["phase"] == "finished" else self._number - 1
             stages = [
                 {
                     "words": words[0],
                     "state": "done" if k < done else "now" if k == done and not self.has_ended else "waiting",
                     "seconds": times[k + 1] - times[k] if k < len(self._times) else None,
                 }
-                for k, words in enumerate(ORDER)
+                for k, words in enumerate(STAGE_MESSAGES)
             ]
-            now = {"words": self._words, "share": self._share, "done": max(0, done), "total": len(ORDER)}
+            now = {"words": self._words, "share": self._share, "done": max(0, done), "total": len(STAGE_MESSAGES)}
             return {**state, **now, "stages": stages, "ranking": self._ranking, "fitted": self._fitted}

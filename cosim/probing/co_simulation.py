@@ -27,17 +27,17 @@ from cosim.probing.prober import (
     tried_parameters,
 )
 
-ROWS = 300  # rows of a simulation for step responses
-PARAMETER_ROWS, FEWEST_ROWS = 15000, 5  # rows over the simulations of all parameters, and least of each
+RESPONSE_ROWS = 300  # rows of a simulation for step responses
+ALL_PARAMETERS_ROWS, MIN_PARAMETER_ROWS = 15000, 5  # rows over the simulations of all parameters, and least of each
 SPAN, MOST_JITTER = 32, 0.1  # rows per increment if single increments jitter, and largest error of single increments
 PAIR_ERROR = 1e-2  # error of an integrated velocity relative to the position's increments
-UNITY = 1e-3  # minimum difference of a gain from 1 that is not integration error
-STEPS = (0.2, 0.5, 0.8)  # times of input steps, as shares of a course
-PARTS = 32  # size of a part of a step, in the search for lags
+UNIT_GAIN_TOLERANCE = 1e-3  # minimum difference of a gain from 1 that is not integration error
+STEP_TIME_SHARES = (0.2, 0.5, 0.8)  # times of input steps, as shares of a course
+PARTS_OF_STEP = 32  # size of a part of a step, in the search for lags
 MOST_GAIN = 4.0  # gain over a part relative to that over a step, beyond which the FMU makes steps of its own
 # response after two steps divided by the response after one: about 2 through one integrator, 4 through two
-DIRECT = 2.8
-LASTS = 1.4  # minimum of this ratio for a storage; 1 without an integrator, 2 for a storage without losses
+MIN_DIRECT_RATIO = 2.8
+MIN_STORAGE_RATIO = 1.4  # minimum of this ratio for a storage; 1 without an integrator, 2 for a storage without losses
 
 
 def co_simulation_structure(prober: Prober, courses: Sequence[Course]) -> Structure:
@@ -56,18 +56,18 @@ def co_simulation_structure(prober: Prober, courses: Sequence[Course]) -> Struct
         raise runs[0][1] or fmu.too_short(courses[0])
     values = np.concatenate([table for _, table in good])
     size = np.maximum(np.abs(values).max(axis=0), SAME)
-    short, base = good[0][0].first(min(ROWS, len(good[0][1]))), good[0][1][:ROWS]
+    short, base = good[0][0].first(min(RESPONSE_ROWS, len(good[0][1]))), good[0][1][:RESPONSE_ROWS]
     responses = Responses(prober, short, base, size)
     chosen = separate_pairs(_fits(good))
     ports = responses.ports(inputs, [v for _, v, _ in chosen])
     # outputs of pairs are not storages; the first input that changes one storage only is its feed
     paired = {k for position, velocity, _ in chosen for k in (position, velocity)}
-    found = responses.ports(inputs, [k for k in range(len(outputs)) if k not in paired], LASTS)
+    found = responses.ports(inputs, [k for k in range(len(outputs)) if k not in paired], MIN_STORAGE_RATIO)
     feeds = {outputs[k]: port for k, acting in found.items() for port in acting[::-1] if port.is_alone}
     columns = {name: [course.inputs[name] for course, _ in good if name in course.inputs] for name in inputs}
     spreads = {name: float(np.std(np.concatenate(c))) if c else 0.0 for name, c in columns.items()}
     count = max(1, len(settable_parameters(prober.description)))
-    tried = short.first(max(FEWEST_ROWS, PARAMETER_ROWS // count))
+    tried = short.first(max(MIN_PARAMETER_ROWS, ALL_PARAMETERS_ROWS // count))
 
     def react(fmu: Fmu) -> tuple[Array, Array]:
         """Return initial and later outputs."""
@@ -122,7 +122,7 @@ def _fits(good: Sequence[tuple[Course, Array]]) -> list[tuple[int, int, float]]:
         is_exact = error <= min(PAIR_ERROR * size, abs(gain) * first_order + SAME * size)
         over_spans = _rms(long_rises[:, q] - gain * long_areas[:, v]) <= PAIR_ERROR * _rms(long_rises[:, q])
         if size > 0.0 and (is_exact or (error <= MOST_JITTER * size and over_spans)):
-            bias = max(UNITY, error / size if not is_exact else first_order**2 * areas.shape[0] / power)
+            bias = max(UNIT_GAIN_TOLERANCE, error / size if not is_exact else first_order**2 * areas.shape[0] / power)
             fits.append((q, v, 1.0 if abs(gain - 1.0) <= bias else gain))
     return fits
 
@@ -150,7 +150,7 @@ class Responses:
 
     def flags(self, inputs: Sequence[str]) -> Flags:
         """Return an array of Booleans: True if an input (column) changes an output (row) at any time."""
-        responses = (self._response(name, STEPS[0], 1)[0] for name in inputs)
+        responses = (self._response(name, STEP_TIME_SHARES[0], 1)[0] for name in inputs)
         columns = [(np.abs(response) > self.noise).any(axis=0) for response in responses]
         return np.column_stack([np.zeros((self._size.size, 0), bool), *columns])
 
@@ -167,7 +167,7 @@ class Responses:
             # Parts of a step reveal a lag that a whole step hides. An FMU that rounds parts to whole steps has another
             # gain there, which is not used.
             whole = self._gain(name, v, 1, least)
-            fine = self._gain(name, v, PARTS, least) if whole and takes_parts else whole
+            fine = self._gain(name, v, PARTS_OF_STEP, least) if whole and takes_parts else whole
             gains[v, name] = whole if abs(fine) > MOST_GAIN * abs(whole) else fine
         ports = {}
         for v in velocities:
@@ -182,13 +182,13 @@ class Responses:
         The derivative is measured over a part of a step; the median over the places is used.
         """
         gains = []
-        for share in STEPS:
+        for share in STEP_TIME_SHARES:
             response, scale = self._response(name, share, parts)
             if len(response) > 2:
                 once, twice = response[1:3, velocity]
-                if abs(once) > self.noise[velocity] and least * abs(once) < abs(twice) < DIRECT * abs(once):
+                if abs(once) > self.noise[velocity] and least * abs(once) < abs(twice) < MIN_DIRECT_RATIO * abs(once):
                     gains.append(float(once) / scale)
-        return float(np.median(gains)) if 2 * len(gains) > len(STEPS) else 0.0
+        return float(np.median(gains)) if 2 * len(gains) > len(STEP_TIME_SHARES) else 0.0
 
     def _response(self, name: str, share: float, parts: int) -> tuple[Array, float]:
         """Return the output differences from the row of an input step on, and the step size times the row's length.

@@ -16,10 +16,20 @@ from cosim.core.arrays import Array
 from cosim.core.errors import FmuError, SimulationError
 from cosim.fmi.description import Way, library_of, ways
 from cosim.probing.places import excited_course
-from cosim.probing.prober import CHANCE, SAME, Course, Fmu, Prober, outputs_along, put_row, run_along, sine_course
+from cosim.probing.prober import (
+    RANDOM_DIFFERENCE_RATIO,
+    SAME,
+    Course,
+    Fmu,
+    Prober,
+    outputs_along,
+    put_row,
+    run_along,
+    sine_course,
+)
 
 WARM, INSTANCES = 2, 6  # instances created before and during the measurement of memory
-LEAK = 1e6  # growth per instance that exceeds allocator overhead [bytes]
+LEAKED_BYTES = 1e6  # growth per instance that exceeds allocator overhead [bytes]
 
 
 def misbehaviour(fmu: Path) -> Iterator[str]:
@@ -59,11 +69,11 @@ def misbehaviour(fmu: Path) -> Iterator[str]:
                 gaps, size = np.full(first.shape[1], np.inf), np.maximum(np.abs(table).max(axis=0), SAME)
                 if table.shape == other.shape:
                     gaps = np.nan_to_num(np.abs(other - table)).max(axis=0, initial=0.0)
-                if share := float((gaps / size)[gaps > SAME * size + CHANCE * noise].max(initial=0.0)):
+                if share := float((gaps / size)[gaps > SAME * size + RANDOM_DIFFERENCE_RATIO * noise].max(initial=0.0)):
                     yield f"{what} gives different outputs, by {share:.2g} of their largest value"
                 noise = gaps if job is outputs_again else noise
             with suppress(SimulationError, FmuError):
-                if (grown := prober.call(growth, way, prober.fmu, course)) > LEAK:
+                if (grown := prober.call(growth, way, prober.fmu, course)) > LEAKED_BYTES:
                     yield f"leaks {grown / 1e6:.2g} MB of memory per instance"
 
 

@@ -30,7 +30,7 @@ from cosim.probing.prober import (
 )
 from cosim.terms.language import RatioFactor
 
-STEADY = 1e-2  # share of a value by which a constant state or input is displaced
+CONSTANT_DISPLACEMENT = 1e-2  # share of a value by which a constant state or input is displaced
 
 
 def exchange_structure(prober: Prober, courses: Sequence[Course]) -> Structure:
@@ -99,14 +99,14 @@ def _points(prober: Prober, courses: Sequence[Course], runs: Sequence[Run]) -> t
     largest = np.abs(known).max(axis=0)
     sizes = {v.name: nominal_of(v) for v in reversed(prober.description.modelVariables)}
     nominal = np.array([abs(sizes.get(name, 0.0)) or 1.0 for name in (*states, *inputs)])
-    unmoved = np.where(largest > 0.0, STEADY * largest, nominal)
+    unmoved = np.where(largest > 0.0, CONSTANT_DISPLACEMENT * largest, nominal)
     scale = np.where(spread > SAME * largest, spread, unmoved)
     size = np.maximum(np.abs(values).max(axis=0), SAME)
     signals = quantities(prober.description, (*states, *inputs), known[0])
     low, high = (np.array([q.bounds[end] for q in signals]) for end in (0, 1))
     points = Points(scale, size, np.zeros((values.shape[1], known.shape[1]), bool), low, high)
     reals_only = all(name in inputs for course in courses for name in course.inputs)
-    share = max(2, POINTS // max(1, len(good)))
+    share = max(2, LOG_POINTS // max(1, len(good)))
     for course, run in zip(courses, runs, strict=True):
         if not run.time.size:
             continue
@@ -155,11 +155,11 @@ def _connections(
         (q, v), (r, w) = ((states.index(p.position), states.index(p.velocity)) for p in (first, second))
         ends = (slopes[:, v, r], slopes[:, w, q]), (slopes[:, v, w], slopes[:, w, v])
         ratios = [o[one > 0.0] / one[one > 0.0] for one, o in ends if (one > 0.0).any() and (o > 0.0).any()]
-        if not ratios or any(np.ptp(x) > CONSTANT * np.median(x) for x in ratios):
+        if not ratios or any(np.ptp(x) > MAX_CONSTANT_VARIATION * np.median(x) for x in ratios):
             continue
         ratio = float(np.median(ratios[0]))
         spring, damper, own = float(usual[v, r]), float(usual[v, w]), float(usual[v, q] * usual[w, r])
-        is_alone = abs(own - spring * usual[w, q]) <= CONSTANT * abs(own)
+        is_alone = abs(own - spring * usual[w, q]) <= MAX_CONSTANT_VARIATION * abs(own)
         gear = float(-spring / usual[v, q]) if is_alone and spring > 0.0 else 1.0
         deflection, speed = (float(np.std(along[:, a] - gear * along[:, b])) for a, b in ((q, r), (v, w)))
         yield Connection(first, second, gear, gear * ratio, spring / gear, damper / gear, deflection, speed)
@@ -167,7 +167,7 @@ def _connections(
 
 def _parameters(prober: Prober, course: Course, points: Points, has_events: bool) -> tuple[ProbedParameter, ...]:
     """Return each settable parameter with its effects at points, or with events along a simulation."""
-    places = points.places[:: points.spacing(PLACES)]
+    places = points.places[:: points.spacing(PARAMETER_POINTS)]
     tried = tried_parameters(prober, lambda fmu: prober.call(reactions, fmu, course, places), points.size)
     if not has_events:
         return tried
@@ -189,11 +189,11 @@ def _parameters(prober: Prober, course: Course, points: Points, has_events: bool
 # code runs in the worker process.
 
 
-POINTS = 40  # points over all logs
-PLACES = 12  # number of points at which parameters are tried
-CONSTANT = 1e-3  # largest relative variation over the points of a ratio of inertias, or of a constant direction
+LOG_POINTS = 40  # points over all logs
+PARAMETER_POINTS = 12  # number of points at which parameters are tried
+MAX_CONSTANT_VARIATION = 1e-3  # relative variation over the points, of inertia ratios and of constant directions
 SMALL, LARGE = 1e-4, 0.5  # displacements relative to the spread
-STARTS = 6  # number of displaced starts to find the outputs that equal states
+DISPLACED_STARTS = 6  # number of displaced starts to find the outputs that equal states
 
 
 @dataclass(eq=False)
@@ -282,7 +282,7 @@ def start_point(fmu: Fmu, course: Course) -> tuple[Array, Array, dict[int, int]]
         x, u = block.current_point()
         start = block.rates(x, u)[x.size :]
         rng, known, values = np.random.default_rng(1), [], []
-        for _ in range(STARTS):
+        for _ in range(DISPLACED_STARTS):
             z = x + 0.1 * np.where(x == 0.0, 1.0, np.abs(x)) * rng.uniform(-1.0, 1.0, x.size)
             known.append(z)
             values.append(_safe_rates(block, z, u))
@@ -336,9 +336,9 @@ def reactions(fmu: Fmu, course: Course, places: Sequence[tuple[float, Array, Arr
 # trials of each parameter distinguish a power law from a sum.
 
 
-NEARLY = 1e-6  # largest relative deviation from proportionality to velocity and parameter
+PROPORTIONALITY_TOLERANCE = 1e-6  # largest relative deviation from proportionality to velocity and parameter
 # Changes of a parameter as multiples of its size; the first whose double the bounds allow is used.
-CHANGES = (1.0, 0.1, -0.25)
+PARAMETER_CHANGES = (1.0, 0.1, -0.25)
 RATIO_PLACES = 4  # number of points for the measurement of ratios
 
 
@@ -356,7 +356,7 @@ def dampings(
     independent of the other velocities and inputs, and no output changes directly.
     """
     states, inputs, _ = prober.fmu.names
-    n, every = len(states), points.spacing(PLACES)
+    n, every = len(states), points.spacing(PARAMETER_POINTS)
     velocities = [states.index(p.velocity) for p in pairs]
     trials, places = list[Pair](), list[tuple[float, Array, Array]]()
     for pair, index in zip(pairs, velocities, strict=True):
@@ -389,7 +389,7 @@ def dampings(
     for parameter in able:
         name, value, (low, high) = parameter.name, parameter.quantity.start, parameter.quantity.bounds
         size = abs(value) or abs(parameter.tried)
-        change = next((c * size for c in CHANGES if low <= value + 2.0 * c * size <= high), 0.0)
+        change = next((c * size for c in PARAMETER_CHANGES if low <= value + 2.0 * c * size <= high), 0.0)
         if not change:  # the bounds forbid every change
             continue
         try:  # changes of derivatives and outputs for the change of the parameter and for twice this change
@@ -402,20 +402,20 @@ def dampings(
             index, usual = states.index(pair.velocity), once[:, 1]
             speed = float(points.scale[index])
             noise, force = SAME * points.size, -change * speed
-            near = noise + NEARLY * np.abs(usual).max(axis=0, initial=0.0)
+            near = noise + PROPORTIONALITY_TOLERANCE * np.abs(usual).max(axis=0, initial=0.0)
             equal = (once[:, 0], 0.0), (once[:, 2], 2.0 * usual), (once[:, 3], usual), (twice[:, 1], 2.0 * usual)
             affected, own = np.flatnonzero((np.abs(usual) > noise).any(axis=0)), usual[:, index] / force
             is_damping = len(own) and affected.max(initial=-1) < n and (own * abs(force) > noise[index]).all()
             if not is_damping or any((np.abs(one - other) > near).any() for one, other in equal):
                 continue  # the parameter is not a damping
             gain, rates, direction = float(np.median(own)), [states[k] for k in affected], usual[:, :n] / force
-            is_constant = len(rates) == 1 and bool(np.ptp(own) <= CONSTANT * gain)
+            is_constant = len(rates) == 1 and bool(np.ptp(own) <= MAX_CONSTANT_VARIATION * gain)
             port = ""
             for entry in pair.ports:
                 # derivatives that are a constant multiple of the direction
                 of_input = along[:, :, inputs.index(entry.input)]
                 factor = float((of_input * direction).sum() / (direction**2).sum())
-                if np.abs(of_input - factor * direction).max() <= CONSTANT * np.abs(of_input).max():
+                if np.abs(of_input - factor * direction).max() <= MAX_CONSTANT_VARIATION * np.abs(of_input).max():
                     port = entry.input
                     break
             damping = Damping(pair, name, gain, tuple(rates), is_constant, port, change, speed, in_step)
@@ -492,17 +492,17 @@ def _factor(name: str, value: float, tried: Sequence[float], changes: Sequence[f
         changes: Ratio at each tried value divided by the ratio at the default; NaN if rejected.
     """
     once, twice = changes
-    if not (once > 0.0 and abs(math.log(once)) > CONSTANT):
+    if not (once > 0.0 and abs(math.log(once)) > MAX_CONSTANT_VARIATION):
         return
     factors = []
     if value and tried[0] / value > 0.0:
         power = math.log(once) / math.log(tried[0] / value)
         half = round(2.0 * power) / 2.0
-        factors.append(RatioFactor(name, value, 0.0, half if abs(half - power) < CONSTANT else power))
+        factors.append(RatioFactor(name, value, 0.0, half if abs(half - power) < MAX_CONSTANT_VARIATION else power))
     for power in (1.0, -1.0):  # a term of a sum
         times = once**power
         factors.append(RatioFactor(name, value, (tried[0] - times * value) / (times - 1.0), power))
     able = [f for f in factors if f.shift + value != 0.0 and (f.shift + tried[1]) / (f.shift + value) > 0.0]
     if math.isfinite(twice):
-        able.sort(key=lambda f: max(CONSTANT, abs(math.log(f.at(tried[1]) / twice))))
+        able.sort(key=lambda f: max(MAX_CONSTANT_VARIATION, abs(math.log(f.at(tried[1]) / twice))))
     yield from able[:1]

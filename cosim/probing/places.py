@@ -24,10 +24,11 @@ from cosim.probing.fmu_structure import Structure
 from cosim.probing.model_exchange import exchange_structure
 from cosim.probing.prober import LIMITS, SAME, Course, Prober, moved, outputs_along, sine_course
 
-ROWS = 60  # rows of a simulation
-DOUBLINGS = 6  # step of the search, relative to the step of the log
-OWN, CONVERGED = 0.2, 0.05  # relative differences of results: of too short steps, and of correct ones
-ROUNDED = 0.05  # accuracy of an internal step
+STEP_SEARCH_ROWS = 60  # rows of a simulation
+STEP_DOUBLINGS = 6  # step of the search, relative to the step of the log
+MIN_WRONG_DIFFERENCE = 0.2  # relative difference of results of too short steps
+MAX_CORRECT_DIFFERENCE = 0.05  # relative difference of correct results
+INNER_STEP_ACCURACY = 0.05  # accuracy of an internal step
 
 
 @dataclass(frozen=True)
@@ -88,13 +89,14 @@ def probe_own_step(
             return result
 
         with prober.hurry(took), suppress(SimulationError, FmuError):
-            step, count = course.step, 2**DOUBLINGS
-            tables = [steps(step * 2**k, count // 2**k) for k in range(DOUBLINGS)]  # same end time with several steps
+            step, count = course.step, 2**STEP_DOUBLINGS
+            # same end time with several steps
+            tables = [steps(step * 2**k, count // 2**k) for k in range(STEP_DOUBLINGS)]
             if any(len(each) != count // 2**k + 1 for k, each in enumerate(tables)):
                 return None
             size = np.maximum(np.ptp(np.concatenate(tables), axis=0), SAME)
             gaps = [float((np.abs(a[-1] - b[-1]) / size).max(initial=0.0)) for a, b in pairwise(tables)]
-            if gaps[0] > OWN and min(gaps) < CONVERGED and int(np.argmin(gaps)) > 0:
+            if gaps[0] > MIN_WRONG_DIFFERENCE and min(gaps) < MAX_CORRECT_DIFFERENCE and int(np.argmin(gaps)) > 0:
                 # this many short steps give the result of a single long one
                 distance = (np.abs(tables[0] - steps(step * count, 1)[-1]) / size).sum(axis=1)
                 own = roundest(step * count / max(1, int(np.argmin(distance))))
@@ -104,7 +106,7 @@ def probe_own_step(
 
 def excited_course(prober: Prober, course: Course) -> Course:
     """Return the first rows of a course with inputs displaced from rest, so that the FMU moves."""
-    course = course.first(ROWS)
+    course = course.first(STEP_SEARCH_ROWS)
     for variable in reals(prober.description, "input"):
         if variable.name in course.inputs:
             inputs = {**course.inputs, variable.name: moved(variable, course.inputs[variable.name])}
@@ -115,13 +117,13 @@ def excited_course(prober: Prober, course: Course) -> Course:
 def roundest(value: float) -> float:
     """Return the number with the fewest digits near an inaccurate value."""
     rounded = (float(f"{value:.{digits}g}") for digits in (1, 2, 3))
-    return next((r for r in rounded if abs(r - value) <= ROUNDED * value), value)
+    return next((r for r in rounded if abs(r - value) <= INNER_STEP_ACCURACY * value), value)
 
 
 # Places and interface; the internal step of co-simulation affects the choice of the interface.
 
 
-FASTEST = 20.0  # largest product of step and eigenvalue for a filter over the states
+MAX_STEP_EIGENVALUE = 20.0  # largest product of step and eigenvalue for a filter over the states
 
 
 @dataclass(frozen=True, eq=False)
@@ -239,16 +241,18 @@ def choose_way(exchange: Structure, own_step: OwnStep | None, offered: Sequence[
     objection: str | None = None
     if events:
         objection = f"model exchange has {events} events along the logs"
-    elif stiffness > FASTEST:
+    elif stiffness > MAX_STEP_EIGENVALUE:
         objection = (
-            f"the product of step and largest eigenvalue is {stiffness:.3g} in model exchange, above {FASTEST:g}"
+            f"the product of step and largest eigenvalue is {stiffness:.3g} in model exchange, above "
+            f"{MAX_STEP_EIGENVALUE:g}"
         )
     elif not exchange.states:
         objection = "model exchange has no continuous states"
     if objection is None:
         return "model-exchange", (
-            "its states and derivatives are accessible, no events occur along the logs, and the product of step and "
-            f"largest eigenvalue is {stiffness:.2g}, at most {FASTEST:g}"
+            "its states and derivatives are accessible, no events occur along the logs, and the product of step "
+            "and largest "
+            f"eigenvalue is {stiffness:.2g}, at most {MAX_STEP_EIGENVALUE:g}"
         )
     if "co-simulation" not in offered:
         return "model-exchange", f"it has no co-simulation, although {objection}"

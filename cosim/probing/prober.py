@@ -15,29 +15,31 @@ from typing import Any, Self
 import numpy as np
 
 from cosim.blocks.compiling import permission, with_permission
+from cosim.blocks.component import ADVANCE, GET, PUT
 from cosim.blocks.derivatives import DifferentiableFmu
 from cosim.blocks.fmu import FmuBlock
 from cosim.core.arrays import Array
 from cosim.core.errors import SimulationError
 from cosim.core.scratch import temporary_folder
 from cosim.files.archive import unpack
-from cosim.fmi.description import REALS, Way, read_description, reals, scalars, states_of, unit_of
-from cosim.fmi.fmi_types import element_names
+from cosim.fmi.description import Way, read_description, reals, scalars, states_of, unit_of
+from cosim.fmi.fmi_types import DOUBLE_TYPES, element_names
 from cosim.isolation import worker as here
 from cosim.isolation.limits import Limits
 from cosim.isolation.process import Worker
-from cosim.isolation.rows import ADVANCE, GET, OTHER, PUT
+from cosim.isolation.rows import OTHER
 from cosim.isolation.watch import Watch, fmi_calls
 from cosim.logs.log import Log
 from cosim.model.quantities import Quantity
 from cosim.probing.fmu_structure import START_STEP, EventCount, ProbedParameter, StartValue
 from cosim.scenario.start_values import settable
 
-ROWS, SECONDS = 400, 10.0  # simulation without a log: number of rows, and duration without a default experiment [s]
-SHARE = 0.1  # amplitude of a sine relative to the input's range or start value
+DEFAULT_ROWS = 400  # of a simulation without a log
+DEFAULT_DURATION_S = 10.0  # without a log and a default experiment
+SINE_AMPLITUDE_SHARE = 0.1  # amplitude of a sine relative to the input's range or start value
 SAME = 1e-9  # relative difference below which numbers are equal
-CHANCE = 10.0  # difference relative to that of repeated simulations, up to which it is random
-SINES = (1.0, 3.0, 7.0, 13.0)  # periods over the duration; every input has its own phases
+RANDOM_DIFFERENCE_RATIO = 10.0  # difference relative to that of repeated simulations, up to which it is random
+SINE_PERIODS = (1.0, 3.0, 7.0, 13.0)  # periods over the duration; every input has its own phases
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,19 +93,19 @@ def sine_course(description: Any) -> Course:
     experiment = description.defaultExperiment
     begin = float(getattr(experiment, "startTime", None) or 0.0)
     end = float(getattr(experiment, "stopTime", None) or 0.0)
-    duration = end - begin if end > begin else SECONDS
-    step = float(getattr(experiment, "stepSize", None) or duration / ROWS)
-    step *= max(1, round(duration / ROWS / step))  # whole steps of the FMU
-    rows = int(min(ROWS, max(2, round(duration / step))))
+    duration = end - begin if end > begin else DEFAULT_DURATION_S
+    step = float(getattr(experiment, "stepSize", None) or duration / DEFAULT_ROWS)
+    step *= max(1, round(duration / DEFAULT_ROWS / step))  # whole steps of the FMU
+    rows = int(min(DEFAULT_ROWS, max(2, round(duration / step))))
     time = np.asarray(begin + step * np.arange(rows + 1), np.float64)
     phase = 2.0 * np.pi * np.arange(rows + 1) / rows
     inputs = {}
     for k, variable in enumerate(v for v in reals(description, "input") if not v.shape):
         start = float(variable.start or 0.0)
-        waves = [np.sin(p * phase + 1.7 * k + p) for p in SINES]
+        waves = [np.sin(p * phase + 1.7 * k + p) for p in SINE_PERIODS]
         size, (low, high) = amplitude_of(variable, start), limits_of(variable)
         centre = min(max(start, low + size), high - size)
-        inputs[variable.name] = np.asarray(centre + size / len(SINES) * np.sum(waves, axis=0), np.float64)
+        inputs[variable.name] = np.asarray(centre + size / len(SINE_PERIODS) * np.sum(waves, axis=0), np.float64)
     return Course("sines", time, inputs, {}, step)
 
 
@@ -111,8 +113,8 @@ def amplitude_of(variable: Any, start: float) -> float:
     """Return a small amplitude for a variable: a share of its range, start value or nominal value."""
     low, high = limits_of(variable)
     if math.isfinite(high - low) and high > low:
-        return SHARE * (high - low)
-    return SHARE * (abs(start) or abs(nominal_of(variable)) or 1.0)
+        return SINE_AMPLITUDE_SHARE * (high - low)
+    return SINE_AMPLITUDE_SHARE * (abs(start) or abs(nominal_of(variable)) or 1.0)
 
 
 def nominal_of(variable: Any) -> float:
@@ -146,7 +148,7 @@ def noise_of(table: Array, repeated: Array, size: Array) -> Array:
     """
     rows = min(len(table), len(repeated))
     apart: Array = np.nan_to_num(np.abs(table[:rows] - repeated[:rows])).max(axis=0, initial=0.0)
-    return SAME * size + CHANCE * apart
+    return SAME * size + RANDOM_DIFFERENCE_RATIO * apart
 
 
 @dataclass(eq=False)
@@ -332,10 +334,16 @@ def outputs_along(
 
 
 Job = Callable[..., Any]
-MODULES = ("cosim.probing.model_exchange", "cosim.probing.misbehaviour", "fmpy.fmi2", "fmpy.fmi3", "fmpy.logging")
+PROBER_MODULES = (
+    "cosim.probing.model_exchange",
+    "cosim.probing.misbehaviour",
+    "fmpy.fmi2",
+    "fmpy.fmi3",
+    "fmpy.logging",
+)
 LIMITS = Limits(step=20.0, load=60.0)
 USUAL_STEP, USUAL_LOAD = 5.0, 10.0  # minimum time limits of a trial [s]
-SLOW = 30.0  # time limit of a trial, as a multiple of the duration of an ordinary simulation
+MAX_TRIAL_DURATIONS = 30.0  # time limit of a trial, as a multiple of the duration of an ordinary simulation
 
 
 class Prober(ExitStack):
@@ -354,7 +362,7 @@ class Prober(ExitStack):
     def __enter__(self) -> Self:
         with ExitStack() as stack:
             self.place = stack.enter_context(temporary_folder("probe"))
-            self._worker = stack.enter_context(Worker(*MODULES))
+            self._worker = stack.enter_context(Worker(*PROBER_MODULES))
             unpack(self.path, self.place)
             self.enter_context(stack.pop_all())
         return self
@@ -376,7 +384,7 @@ class Prober(ExitStack):
             took: Duration of an ordinary simulation [s].
         """
         usual = self._limits
-        step, load = max(USUAL_STEP, SLOW * took), max(USUAL_LOAD, SLOW * took)
+        step, load = max(USUAL_STEP, MAX_TRIAL_DURATIONS * took), max(USUAL_LOAD, MAX_TRIAL_DURATIONS * took)
         most = {"step": min(step, usual.step or step), "load": min(load, usual.load or load)}
         self._limits = usual.model_copy(update=most)
         try:
@@ -441,7 +449,7 @@ def settable_parameters(description: Any) -> list[Any]:
 
 
 def _is_settable_real(v: Any) -> bool:
-    return v.type in REALS and not v.shape and v.start is not None and settable(v)
+    return v.type in DOUBLE_TYPES and not v.shape and v.start is not None and settable(v)
 
 
 def tried_parameters(
@@ -501,7 +509,7 @@ def start_values(prober: Prober, course: Course, base: Array, noise: Array) -> t
         noise: Differences between repeated simulations.
     """
     found = []
-    spread = np.maximum(base.std(axis=0), CHANCE * noise)
+    spread = np.maximum(base.std(axis=0), RANDOM_DIFFERENCE_RATIO * noise)
     used = {"input", "parameter", "calculatedParameter", "structuralParameter", "independent"}
     states = [
         v

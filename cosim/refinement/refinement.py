@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from cosim.core.extras import pandas_for_frames
 from cosim.files.folders import content_of
-from cosim.fmi.building.refined import ANSWER, REFINED
+from cosim.fmi.building.refined import REFINE_RECORD, REFINED
 
 if TYPE_CHECKING:
     import pandas
@@ -130,5 +130,5 @@ class Refined:
 
 def read_refined(folder: Path) -> Refined | None:
     """Return the result in a folder, or None."""
-    record = content_of(folder / ANSWER)
+    record = content_of(folder / REFINE_RECORD)
     return Refined(record, folder) if record else None

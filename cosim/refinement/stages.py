@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any
 
-ORDER: Sequence[tuple[str, ...]] = (  # messages of each stage; a finished stage does not return
+STAGE_MESSAGES: Sequence[tuple[str, ...]] = (  # messages of each stage; a finished stage does not return
     ("reading the logs",),
     ("recalibrating the base model",),
     (
@@ -27,12 +27,12 @@ ORDER: Sequence[tuple[str, ...]] = (  # messages of each stage; a finished stage
     ("measuring the noise floor",),
     ("drawing the report",),
 )
-_PLACE = {words: number for number, stage in enumerate(ORDER, 1) for words in stage}
+_PLACE = {words: number for number, stage in enumerate(STAGE_MESSAGES, 1) for words in stage}
 
 
 def stage_number(words: str) -> tuple[int, int]:
     """Return the number of a stage from its progress message, 0 if unknown, and the number of stages."""
-    return _PLACE.get(words.partition(":")[0], 0), len(ORDER)
+    return _PLACE.get(words.partition(":")[0], 0), len(STAGE_MESSAGES)
 
 
 class Watcher:

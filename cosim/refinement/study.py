@@ -28,6 +28,7 @@ from cosim.files.artefact import STUDY, Checking, kind_by_keys
 from cosim.files.files import FilePath
 from cosim.files.kinds import check_form, refuse_other
 from cosim.files.yaml_file import UNIT_OF_KEY, Positive, PositiveSeconds, YamlFile
+from cosim.fmi.building.declared import MAX_TOLERANCE
 from cosim.fmi.building.file import load_model, own_terms, skipped_files
 from cosim.fmi.building.substep import with_substep
 from cosim.fmi.native.compiler import compiler, cure
@@ -45,8 +46,7 @@ SCORED = 1.0  # [s] least scored time, beside the skipped start and one horizon
 Interpolation = Literal["held", "interpolated"]
 AnySubject = TypeVar("AnySubject", bound=Subject)
 Setting = TypeVar("Setting")
-ROUNDING = float(np.finfo(np.float64).eps)
-WIDEST = 2.0  # share of a parameter: a tolerance without information
+MIN_TOLERANCE = float(np.finfo(np.float64).eps)
 
 
 def _check_share(value: Any) -> Any:
@@ -54,8 +54,10 @@ def _check_share(value: Any) -> Any:
     if isinstance(value, str) and has_unit(value):
         with suppress(ValueError):
             value = read_quantity(value, "1")
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not ROUNDING < value <= WIDEST:
-        raise ValueError(f"a tolerance is a share of the parameter, above 0 and at most {WIDEST:g}: 0.1 for 10 %")
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not MIN_TOLERANCE < value <= MAX_TOLERANCE:
+        raise ValueError(
+            f"a tolerance is a share of the parameter, above 0 and at most {MAX_TOLERANCE:g}: 0.1 for 10 %"
+        )
     return value
 
 

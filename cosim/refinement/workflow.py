@@ -44,7 +44,7 @@ from cosim.files.files import (
     write_json,
 )
 from cosim.files.folders import remove_earlier
-from cosim.fmi.building.refined import ANSWER, NEAREST, REFINED
+from cosim.fmi.building.refined import NEAREST, REFINE_RECORD, REFINED
 from cosim.isolation.limits import Limits
 from cosim.refinement.decision.bundle import between_rows, fit_given_model, late_input
 from cosim.refinement.decision.claims import Claims, claims_of, floor_warning, sentence
@@ -116,7 +116,7 @@ def refine(
     if untested:
         tell(Note(f"not tested: {'; '.join(untested)}"))
     limited = _Limited(progress, study.content.limits, start)
-    check_writable(folder, (*REFINED, *NEAREST, ANSWER, "report.html"), study.files)
+    check_writable(folder, (*REFINED, *NEAREST, REFINE_RECORD, "report.html"), study.files)
     problem = _build_problem(study)
     refuse(_divergences(study, problem))
     study = _with_predictable_horizon(study, problem)
@@ -128,7 +128,7 @@ def refine(
             claims = claims_of(study, search, limited)
         except TimedOut:
             remove_earlier(folder, read=study.files)
-            write_json(folder / ANSWER, unfinished(study, limited.tried), allow_nan=False)
+            write_json(folder / REFINE_RECORD, unfinished(study, limited.tried), allow_nan=False)
             raise
         between = between_rows(search.problem, claims.base)
         unfitted = fit_given_model(search.problem, claims.base.fit)
@@ -196,10 +196,10 @@ def refine(
                 if file == scratch / FILES_OF[delivered]:
                     written.coverage = covered
             content = written.model_dump(mode="json")
-            write_json(scratch / ANSWER, content, allow_nan=False)
+            write_json(scratch / REFINE_RECORD, content, allow_nan=False)
             with delay_stops():
                 remove_earlier(folder, read=study.files)
-                results = [*files, scratch / ANSWER]
+                results = [*files, scratch / REFINE_RECORD]
                 for name in {*REFINED, *NEAREST, "report.html"} - {path.name for path in results}:
                     (folder / name).unlink(missing_ok=True)  # of an earlier study, be its answer there or not
                 for path in results:
@@ -233,8 +233,8 @@ class _Limited(Watcher):
     def __call__(self, stage: str, share: float) -> None:
         if self.total is not None and time.perf_counter() - self.start > self.total:
             reason = (
-                f"the limit of {self.total:g} s (limits: total) is reached at {stage!r}; {ANSWER} has the hypotheses "
-                "so far, but no verdict: allow more time, or name fewer candidates"
+                f"the limit of {self.total:g} s (limits: total) is reached at {stage!r}; {REFINE_RECORD} has the "
+                "hypotheses so far and no verdict: allow more time, or name fewer candidates"
             )
             raise TimedOut("the search", 0.0, reason)
         self.progress(stage, share)

@@ -19,15 +19,15 @@ from cosim.core.arrays import Array, Rows
 from cosim.core.messages import printable_json
 from cosim.report.panels import Panel, Trace, extent
 
-MAX_CELLS = 6_000_000  # values in a page; of longer runs, every n-th row
-MAX_COUNT = 1e9  # below this, held integers have no decimals
-DIGITS, SPAN_DIGITS = 5, 4  # significant digits of a signal's largest value, and of its range
-ROUNDING = 1e-12  # a signal whose range is a smaller share of its largest value is constant
-MAX_EXACT = 1e15  # integers up to this size are exact in JavaScript
+MAX_PAGE_VALUES = 6_000_000  # values in a page; beyond, every n-th row
+MAX_COUNT = 1e9  # held whole numbers below have no decimals
+VALUE_DIGITS, SPAN_DIGITS = 5, 4  # significant digits of the largest value and of the span
+MAX_CONSTANT_SPAN = 1e-12  # of the largest value: a signal with a smaller span is constant
+MAX_EXACT = 1e15  # whole numbers up to here are exact in the script
 MAX_DECIMALS = 300  # decimals; larger powers of ten overflow
-BYTES = 7  # largest size of a difference in a page
-TIME = ("time", "s")
-NOTHING: Mapping[str, Any] = MappingProxyType({})
+BYTES_PER_DIFFERENCE = 7  # of a difference in a page
+TIME_AXIS = ("time", "s")
+NO_DATA: Mapping[str, Any] = MappingProxyType({})
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ class Charts:
     def over(
         self,
         x: Array,
-        over: tuple[str, str] = TIME,
+        over: tuple[str, str] = TIME_AXIS,
         ends: tuple[float, float] | None = None,
         *,
         breaks: Sequence[int] = (),
@@ -149,9 +149,9 @@ class Charts:
         self._charts.append(chart)
         return Plot(len(self._charts) - 1, chart, "; ".join(words))
 
-    def data(self, more: Mapping[str, Any] = NOTHING) -> str:
+    def data(self, more: Mapping[str, Any] = NO_DATA) -> str:
         """Return charts, rows and further data as JSON for the page's script, safe inside a script element."""
-        every = max(1, math.ceil(sum(values.size for values, *_ in self._columns) / MAX_CELLS))
+        every = max(1, math.ceil(sum(values.size for values, *_ in self._columns) / MAX_PAGE_VALUES))
         chosen = [(v if not common else v[_rows(v.size, every)], decimals) for v, decimals, common in self._columns]
         groups = []
         for group in self._groups:
@@ -204,8 +204,8 @@ def decimals_of(values: Array) -> int:
         return 0
     largest = float(np.max(np.abs(good)))
     span = min(float(np.max(good)) - float(np.min(good)), sys.float_info.max)
-    digits = DIGITS - 1 - math.floor(math.log10(largest))
-    if span > ROUNDING * largest:
+    digits = VALUE_DIGITS - 1 - math.floor(math.log10(largest))
+    if span > MAX_CONSTANT_SPAN * largest:
         digits = max(digits, SPAN_DIGITS - 1 - math.floor(math.log10(span)))
     return min(digits, math.floor(math.log10(MAX_EXACT) - math.log10(largest)), MAX_DECIMALS)
 
@@ -234,6 +234,6 @@ def pack(columns: Sequence[tuple[Array, int]]) -> str:
         whole: NDArray[np.int64] = np.rint(scaled).astype(np.int64)
         steps = whole - np.append(np.int64(0), whole[:-1])
         zigzag = ((steps << 1) ^ (steps >> 63)).astype("<i8")
-        parts.append(zigzag.view(np.uint8).reshape(-1, 8)[:, :BYTES].T.tobytes())
+        parts.append(zigzag.view(np.uint8).reshape(-1, 8)[:, :BYTES_PER_DIFFERENCE].T.tobytes())
         parts.append(b"" if good.all() else good.astype(np.uint8).tobytes())
     return base64.b64encode(zlib.compress(b"".join(parts), 9)).decode("ascii")

@@ -13,8 +13,8 @@ from cosim.core.arrays import Array
 from cosim.core.text import displayed, shown_unit
 
 OTHERS_PER_PANEL = 6
-WIDEST_RANGES = 20.0  # axis' range per range of a signal without a unit: smaller signals look constant
-CONSTANT = 1e-9  # range of a constant signal, relative to its size
+WIDEST_RANGES = 20.0  # axis' range over the range of a signal without a unit; smaller signals would look constant
+MAX_CONSTANT_RANGE = 1e-9  # range of a constant signal, relative to its size
 NO_UNIT_TEXT = "no unit declared"  # in place of a unit on an axis; the script of a page reads it, too
 
 
@@ -121,7 +121,7 @@ def by_unit(
 
     def are_visible(chosen: Sequence[str]) -> bool:
         ends = [spans[name] for name in chosen]
-        ranges = [high - low for low, high in ends if high - low > CONSTANT * max(abs(low), abs(high))]
+        ranges = [high - low for low, high in ends if high - low > MAX_CONSTANT_RANGE * max(abs(low), abs(high))]
         whole = max(high for _, high in ends) - min(low for low, _ in ends)
         return whole <= WIDEST_RANGES * min(ranges, default=math.inf)
 

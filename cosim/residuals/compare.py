@@ -16,8 +16,8 @@ import numpy as np
 from cosim.core.arrays import Array, NamedArrays, NamedValues
 from cosim.core.errors import SimulationError
 from cosim.core.text import join_names, plain, size
-from cosim.logs.gate import ORDER, refuse_faults
-from cosim.logs.log import SENSORS, Finding, Log, least_noise_level
+from cosim.logs.gate import SEVERITIES, refuse_faults
+from cosim.logs.log import SENSOR_FINDING, Finding, Log, least_noise_level
 from cosim.logs.model_comparison import output_findings
 from cosim.residuals.drive import Drive, as_columns
 from cosim.residuals.residual_statistics import (
@@ -43,12 +43,12 @@ from cosim.residuals.windows import (
     self_started,
 )
 
-WINDOWS, FEWEST_DRAWS, SEED = 40, 2, 1  # windows drawn at least; draws at least; seed
-BY_CHANCE = 1e-4  # probability, for each channel, that a correct model counts as unexplained
-AT_LEAST = 1.5  # smallest limit of the error relative to the noise floor, because noise levels are estimates
-ROUNDING = 1e-9  # share of a channel's size
-STEP = 1e-6  # change of a start value if its noise is unknown
-EXACT = 1e-4  # share of a channel's standard deviation; a log without noise must be matched this closely
+MIN_DRAWN_WINDOWS, MIN_DRAWS, WINDOWS_SEED = 40, 2, 1  # least number of windows drawn
+BY_CHANCE = 1e-4  # false alarm probability of a correct model for each channel
+AT_LEAST = 1.5  # least limit relative to the floor, since noise levels are estimates
+ROUNDING_SHARE = 1e-9  # share of a channel's size
+START_VALUE_STEP = 1e-6  # change of a start value without known noise
+NEGLIGIBLE_ERROR_SHARE = 1e-4  # share of a channel's spread; a log without noise is matched to rounding
 Verdict = Literal["explained", "unexplained", "undecided"]
 FOLLOWS = 2.5  # multiple of the 95 % band (five standard errors) above which a correlation is not by chance
 
@@ -129,8 +129,8 @@ def compare(drive: Drive, free: Replay, findings: Sequence[Finding]) -> Comparis
         decisive = measure if measure in scores else FREE_RUN
         error, lost = scores[decisive], floor.astray > floor.rmse
         excess = error.rmse / floor.rmse if not lost and floor.rmse > 0.0 else math.nan
-        # the error is due to rounding, or there is nothing to compare
-        exact = error.rows == 0 or error.rmse == 0.0 or error.fit > 100.0 * (1.0 - EXACT)
+        # at rounding level, or without anything to compare
+        exact = error.rows == 0 or error.rmse == 0.0 or error.fit > 100.0 * (1.0 - NEGLIGIBLE_ERROR_SHARE)
         matched = not lost and (exact or excess < floor.limit)
         explained = matched and (exact or not any(u.strength > FOLLOWS for u in inputs[:1]))
         noise, white = least_noise_level(measured, free.outputs[name]), whiteness(residual, lags)
@@ -144,7 +144,7 @@ def compare(drive: Drive, free: Replay, findings: Sequence[Finding]) -> Comparis
             )
             numbers = {"rmse": floor.astray, "noise": floor.rmse}
             hidden.append(Finding("warning", "hidden_state", name, message, numbers))
-    everything = sorted((*findings, *against, *hidden), key=lambda f: ORDER.index(f.severity))
+    everything = sorted((*findings, *against, *hidden), key=lambda f: SEVERITIES.index(f.severity))
     return Comparison(log, drive, replays, tuple(channels), tuple(everything))
 
 
@@ -184,7 +184,7 @@ def draws(log: Log, horizon: float) -> int:
     """Return the number of random draws for the noise floor of a log; with few windows, more draws are needed."""
     runs = [] if horizon == FREE_RUN else chains(log, horizon)
     count = sum(sum(row >= begin for row in rows[:-1]) for rows, begin in runs)
-    return max(FEWEST_DRAWS, math.ceil(WINDOWS / max(1, count)))
+    return max(MIN_DRAWS, math.ceil(MIN_DRAWN_WINDOWS / max(1, count)))
 
 
 def floors(drive: Drive, free: Replay, measured: Replay) -> dict[str, ChannelFloor]:
@@ -213,7 +213,7 @@ def floors(drive: Drive, free: Replay, measured: Replay) -> dict[str, ChannelFlo
 
     restarted, errors = predict(sampled), []
     for draw in range(count := draws(log, horizon)):
-        rng = np.random.default_rng([SEED, draw])
+        rng = np.random.default_rng([WINDOWS_SEED, draw])
         noise = {n: np.nan_to_num(s) * rng.standard_normal(log.rows) for n, s in levels.items()}
         noisy = predict({n: values + noise[n] for n, values in sampled.items()})
         errors.append({n: sampled[n] + noise[n] - (noisy[n] - (restarted[n] - free.outputs[n])) for n in sampled})
@@ -228,7 +228,7 @@ def floors(drive: Drive, free: Replay, measured: Replay) -> dict[str, ChannelFlo
         error = model - restarted[name]
         values, astray = model[np.isfinite(error)], 0.0
         if horizon != FREE_RUN and values.size:
-            least = max(EXACT * float(np.std(values)), ROUNDING * float(np.max(np.abs(values))))
+            least = max(NEGLIGIBLE_ERROR_SHARE * float(np.std(values)), ROUNDING_SHARE * float(np.max(np.abs(values))))
             astray = rest if (rest := rmse(error)) > least else 0.0
         result[name] = ChannelFloor(totals[name], _limit(np.concatenate(squares), count), astray)
     return result
@@ -249,7 +249,7 @@ def _linear_run(
     try:
         for name, p in free.parameters.items():
             level = levels.get(name, math.nan)
-            step = level / abs(p.gain) if level > 0.0 else STEP * max(1.0, abs(about[p.name]))
+            step = level / abs(p.gain) if level > 0.0 else START_VALUE_STEP * max(1.0, abs(about[p.name]))
             step = step if about[p.name] + step <= p.high else -step
             outputs = drive.run(0, drive.log.rows - 1, {**start, **about, p.name: about[p.name] + step})
             slopes[p.name] = (outputs - table) / step
@@ -324,7 +324,7 @@ def sentence(comparison: Comparison) -> str:
         delays = [f for f in comparison.findings if f.kind == "delay" and f.channel in wrong]
         if delays := [f for f in delays if abs(f.numbers["delay"]) > comparison.log.step]:
             cause = max(delays, key=lambda f: abs(f.numbers["delay"]) / f.numbers["error"]).whole
-        cause = next((f.whole for f in comparison.findings if f.kind == SENSORS), cause)
+        cause = next((f.whole for f in comparison.findings if f.kind == SENSOR_FINDING), cause)
         texts.append(f"{worst.name} is off by {error}; the residual {follows}. {cause}.")
     elif answer == "explained":
         texts.append(f"All channels agree with the log within sensor noise; {worst.name} is off by {error}.")

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 
 from cosim.blocks.compiling import with_permission
-from cosim.blocks.component import Signal
+from cosim.blocks.component import ADVANCE, GET, PUT, Signal
 from cosim.blocks.fmu import FmuBlock, RestartableFmu
 from cosim.blocks.shared_code import claim
 from cosim.core.arrays import Array, Flags, Rows
@@ -31,18 +31,18 @@ from cosim.fmi.state import Memory, Own
 from cosim.isolation import worker as here
 from cosim.isolation.limits import Limits
 from cosim.isolation.process import Remote, Worker
-from cosim.isolation.rows import ADVANCE, GET, OTHER, PUT, allocate, mapped_table, read_table
+from cosim.isolation.rows import OTHER, allocate, mapped_table, read_table
 from cosim.isolation.rows import Rows as SharedRows
 from cosim.isolation.watch import Watch, fmi_calls
 from cosim.logs.log import Log, read_log
 from cosim.scenario.start_values import NOT_NUMBERS, start_value
 
-PLANT = "plant"  # component name in results and messages
-MODULES = ("cosim.residuals.drive", "fmpy.fmi2", "fmpy.logging")
-PROGRESS_EVERY = 500
-SWITCHES = {"true": True, "on": True, "1": True, "false": False, "off": False, "0": False}
-COARSE = 1e3  # factor on the tolerance of times, because times in logs are rounded by printing
-PER_ROW = 8  # steps between rows for interpolated inputs, which are held at their midpoint in each step
+PLANT_COMPONENT = "plant"  # component name in results and messages
+REPLAY_MODULES = ("cosim.residuals.drive", "fmpy.fmi2", "fmpy.logging")
+PROGRESS_EVERY_ROWS = 500
+BOOLEAN_TEXTS = {"true": True, "on": True, "1": True, "false": False, "off": False, "0": False}
+PRINTED_TIME_FACTOR = 1e3  # times the tolerance of times, for logs whose times are printed
+STEPS_PER_ROW = 8  # steps between rows for interpolated inputs, each held at its midpoint
 
 
 class DriveSteps(NamedTuple):
@@ -63,8 +63,8 @@ class DriveSteps(NamedTuple):
 
 
 def model_signals(fmu: Path) -> tuple[Sequence[Signal], Sequence[Signal]]:
-    """Return the real inputs and outputs of an FMU, which are the signals of its logs."""
-    block = FmuBlock(PLANT, fmu, read_description(fmu), {}, frozenset())
+    """Return the real inputs and outputs of an FMU, the signals of its logs."""
+    block = FmuBlock(PLANT_COMPONENT, fmu, read_description(fmu), {}, frozenset())
     return block.inputs, block.outputs
 
 
@@ -132,7 +132,7 @@ class Drive:
         self.description = description = read_description(fmu)
         self.traits = traits_of(fmu)  # None for an FMU of another tool
         self.frame = self.traits.planar if self.traits else None
-        self.block = RestartableFmu(PLANT, fmu, description, {}, frozenset(log.inputs))
+        self.block = RestartableFmu(PLANT_COMPONENT, fmu, description, {}, frozenset(log.inputs))
         self.block.await_inputs(always=True)
         faults = []
         sides = (("input", log.inputs, self.block.inputs), ("output", log.outputs, self.block.outputs))
@@ -231,8 +231,8 @@ class Drive:
         here, size = ctypes.addressof(self._row) + 8 * len(self.block.inputs), 8 * len(self.outputs)
         there, block, acting, whole = table.ctypes.data, self.block, first, 0
         reached, width = steps.reached, len(self.inputs)
-        close = roundings(reached, COARSE * self.log.step)
-        following = np.searchsorted(self.log.time, reached + close, side="right") - 1  # row of the command
+        close = roundings(reached, PRINTED_TIME_FACTOR * self.log.step)
+        following = np.searchsorted(self.log.time, reached + close, side="right") - 1  # row that acts at each reading
         commands = [self._commands[k] for k in following.tolist()] if self._commands else []
         times, lengths, number, reading = (part.tolist() for part in steps[:4])
         each = zip(times, lengths, number, self._puts(steps, first), reading, strict=True)
@@ -266,7 +266,7 @@ class Drive:
                     block.get()
                     ctypes.memmove(there + whole * size, here, size)
                     whole = done[0] = whole + 1
-                if self.progress is not None and made % PROGRESS_EVERY == 0:
+                if self.progress is not None and made % PROGRESS_EVERY_ROWS == 0:
                     self.progress(self._driven[0] + made)
         except SimulationError:
             self.left = self._at_rows(table[:whole], reached, first, last)
@@ -298,20 +298,20 @@ class Drive:
         time, step = self.log.time[first : last + 1], self.log.step
         if self.variable_step:
             dt = np.diff(time)
-            count = np.maximum(1, np.rint(dt / step)).astype(np.intp) * (PER_ROW if self._ramps.any() else 1)
+            count = np.maximum(1, np.rint(dt / step)).astype(np.intp) * (STEPS_PER_ROW if self._ramps.any() else 1)
             length = dt / count
-            usual = step / PER_ROW if self._ramps.any() else step
-            length[np.abs(length - usual) < roundings(time[:-1], COARSE * usual)] = usual  # no jitter
+            usual = step / STEPS_PER_ROW if self._ramps.any() else step
+            length[np.abs(length - usual) < roundings(time[:-1], PRINTED_TIME_FACTOR * usual)] = usual  # no jitter
             number = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
             times = np.repeat(time[:-1], count) + number * np.repeat(length, count)
             lengths, rows = np.repeat(length, count), np.repeat(np.arange(first, last), count)
             reads = np.diff(rows, append=-1) != 0
         else:
             times = time[0] + step * np.arange(
-                max(0, math.ceil((time[-1] - time[0] - rounding(time[-1], COARSE * step)) / step))
+                max(0, math.ceil((time[-1] - time[0] - rounding(time[-1], PRINTED_TIME_FACTOR * step)) / step))
             )
             lengths, reads = np.full(times.size, step), np.ones(times.size, bool)
-            rows = first + np.searchsorted(time, times + roundings(times, COARSE * step), side="right") - 1
+            rows = first + np.searchsorted(time, times + roundings(times, PRINTED_TIME_FACTOR * step), side="right") - 1
         return DriveSteps(times, lengths, rows, reads, np.append(time[0], (times + lengths)[reads]))
 
     def _puts(self, steps: DriveSteps, first: int) -> list[Any]:
@@ -349,8 +349,8 @@ def rows_of(log: Log, first: int, seconds: float) -> int:
 
 
 def coarse_rounding(log: Log) -> float:
-    """Return the tolerance [s] within which times of a log, which may be rounded by printing, are equal."""
-    return rounding(float(log.time[-1]), COARSE * log.step)
+    """Return the difference [s] within which times of a log are equal, which may be printed."""
+    return rounding(float(log.time[-1]), PRINTED_TIME_FACTOR * log.step)
 
 
 def as_columns(table: Array, names: Sequence[str]) -> dict[str, Array]:
@@ -380,7 +380,7 @@ def start_values(fmu: Path, texts: Sequence[str], fault: Callable[[str, str], Fa
         with suppress(NotYaml):
             read = Document(written).data
         if kind in NOT_NUMBERS and not isinstance(read, str):
-            read = SWITCHES.get(written.lower(), written) if kind == "Boolean" else written
+            read = BOOLEAN_TEXTS.get(written.lower(), written) if kind == "Boolean" else written
         try:
             if not (name and written):
                 raise ValueError("write NAME=VALUE, as in gain=0.9")
@@ -480,7 +480,7 @@ class DriveApart(Drive):
         begin = float(self.log.time[0])
         driven, progress = self._driven[0], self.progress
         return Watch(
-            [PLANT],
+            [PLANT_COMPONENT],
             [fmi_calls(self.description)],
             lambda made, call: times[min(max(0, made - 1), len(times) - 1)] if times else begin,
             self._limits,

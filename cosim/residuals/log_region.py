@@ -16,8 +16,8 @@ from cosim.logs.log import Log
 from cosim.residuals.drive import Drive
 from cosim.residuals.windows import Replay, start_parameters
 
-MOST_ROWS = 400  # rows of the runs that test for outputs on whose level nothing depends
-EQUAL = 1e-6  # relative difference up to which values are equal
+MAX_LEVEL_ROWS = 400  # of the runs that show on which levels nothing depends
+EQUAL_CHANGE_TOLERANCE = 1e-6  # of a difference, relative to its size
 
 ReplayedLog = tuple[Log, Replay]
 
@@ -75,14 +75,14 @@ def _stretch(drive: Drive, log: Log, replay: Replay) -> Stretch:
 def _free_levels(drive: Drive) -> set[str]:
     """Return outputs on whose level nothing depends: another start value shifts them and has no other effect."""
     found = set[str]()
-    last = min(drive.log.rows - 1, MOST_ROWS)
+    last = min(drive.log.rows - 1, MAX_LEVEL_ROWS)
     try:
         for parameter in start_parameters(drive).values():
             one, two = (drive.run(0, last, {parameter.name: value}) for value in parameter.tried)
             change = two - one
             size = np.abs(change).max(axis=0)
-            moved = size > EQUAL * np.maximum(1.0, np.abs(one).max(axis=0))
-            if np.all(np.ptp(change, axis=0)[moved] <= EQUAL * size[moved] * last):
+            moved = size > EQUAL_CHANGE_TOLERANCE * np.maximum(1.0, np.abs(one).max(axis=0))
+            if np.all(np.ptp(change, axis=0)[moved] <= EQUAL_CHANGE_TOLERANCE * size[moved] * last):
                 found |= {name for name, is_moved in zip(drive.outputs, moved, strict=True) if is_moved}
     except SimulationError:
         return set()

@@ -20,8 +20,8 @@ from cosim.residuals.residual_statistics import FREE_RUN, Whiteness
 from cosim.residuals.windows import SKIPPED, horizons
 
 TEMPLATE = Path(__file__).with_name("templates") / "replay.html.j2"
-STEMS = 100  # approximate number of drawn lags of an autocorrelation
-TONES: Mapping[str, str] = {"explained": "good", "unexplained": "bad", "undecided": "warn"}
+STEMS = 100  # about, lags of an autocorrelation
+ANSWER_TONES: Mapping[str, str] = {"explained": "good", "unexplained": "bad", "undecided": "warn"}
 
 
 def page(comparison: Comparison, study: Path, validity: Validity, *, passing: bool = False) -> str:
@@ -66,7 +66,7 @@ def page(comparison: Comparison, study: Path, validity: Validity, *, passing: bo
         "log": log,
         "drive": drive,
         "channels": channels,
-        "answer": (TONES[word], word, headline, details),
+        "answer": (ANSWER_TONES[word], word, headline, details),
         "next": command("cosim", "refine", str(path_from_here(study))) if study.is_file() else "",
         "badges": [
             f"{plain(float(log.time[-1] - log.time[0]))} s at {plain(1.0 / log.step)} Hz",

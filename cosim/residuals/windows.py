@@ -3,11 +3,11 @@
 For a model with integrating states, a long free run does not measure its quality. A window is a short replay: it starts
 at a row from a state estimated from past data, and lasts one horizon.
 
-The start state is estimated for any FMU with start parameters. Its basis is the state of a carrier, which is the
-previous window (not the free run, because even a correct model drifts over a whole log). Over the last PAST seconds, a
-parabola in time is fitted to measured − carrier, and its end corrects the carrier's state. An angle and its rate share
-one parabola, weighted by their noise. Unmeasured states are those of the carrier. For FMUs built by cosim whose state
-can be read, this includes states without an output.
+The start state is estimated for any FMU with start parameters. The FMU provides fast motion, the measurements the slow
+part: over the last PAST_S seconds the difference measured − carrier is fitted by a parabola in time, whose end corrects
+the carrier's state. The carrier is the previous window, because even a correct model drifts over a whole log. Angle and
+rate share one parabola, weighted by their noise. Unmeasured states come from the carrier, including states without an
+output if the FMU is a cosim FMU with readable state.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ import numpy as np
 from cosim.core.arrays import Array, NamedArrays, NamedValues, Rows
 from cosim.core.errors import SimulationError
 from cosim.core.linear_algebra import least_squares
+from cosim.fmi.fmi_types import DOUBLE_TYPES
 from cosim.fmi.state import MEMORY, STATE, Memory, Own
 from cosim.logs.log import Log, least_noise_level, noise_level, stretches
 from cosim.model.namespaces import SCALAR
@@ -32,18 +33,17 @@ from cosim.model.traits import rate_of
 from cosim.residuals.drive import Drive, as_columns, coarse_rounding, rows_of
 from cosim.residuals.residual_statistics import FREE_RUN
 
-SKIPPED = 2.0  # [s] at the start of a log, in which a filter settles and which windows skip
-HORIZONS = (0.5, 2.0)  # [s] horizons of windows; the last one decides the verdict
-PAST = 0.5  # [s] of measurements before a window that determine its start
-FIRST = 1.0  # [s] at the start of the log, which has no past, that determine the first start
-REACHES = (1.0, 0.5, 0.25, 0.12)  # shares of that time; the longest one that a parabola fits is used
-FITS = 2.5  # limit of the fit's variance relative to the noise; noise exceeds it once in 10⁴ for 0.5 s at 50 Hz
-FEWEST = 6  # samples needed for a parabola
-LEAST = 4  # samples needed of a channel; for slow sensors, a longer time is used
-PASSES = 4  # iterations for the start over the first second
-OLDEST = 2.0  # [s] age of the oldest sample that is used, even of a slow sensor
-REALS = {"Real", "Float64"}
-Error = tuple[Array, float, bool]  # measured − carrier, its noise, and True for a rate
+SKIPPED = 2.0  # [s] at the start of a log, in which a filter settles
+HORIZONS = (0.5, 2.0)  # [s], the second one is decisive
+PAST_S = 0.5  # [s] before a window
+FIRST_S = 1.0  # [s] after the start of the log, without a past
+REACHES = (1.0, 0.5, 0.25, 0.12)  # shares of that time; the longest valid one is used
+FITS = 2.5  # multiple of the noise variance; exceeded by noise once in 10⁴ for half a second at 50 Hz
+MIN_PARABOLA_SAMPLES = 6  # samples of a parabola
+MIN_SLOPE_SAMPLES = 4  # samples of a channel; slow sensors use a longer time
+PASSES = 4  # passes over the first second
+OLDEST = 2.0  # [s] oldest useful sample, even of a slow sensor
+Error = tuple[Array, float, bool]  # measured − carrier, its noise, True for the rate
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,7 +160,9 @@ def chains(log: Log, horizon: float) -> list[tuple[list[int], int]]:
         first = int(np.searchsorted(log.time, part.time[0]))
         if rows := window_rows(part, horizon, skipped):
             settle = [
-                k for k in window_rows(part, PAST * log.slowness, 0.0 if first else FIRST * log.slowness) if k < rows[0]
+                k
+                for k in window_rows(part, PAST_S * log.slowness, 0.0 if first else FIRST_S * log.slowness)
+                if k < rows[0]
             ]
             edges = [*settle, *rows, rows_of(part, rows[-1], horizon)]
             result.append(([first + k for k in edges], first + rows[0]))
@@ -212,7 +214,7 @@ def start_parameters(drive: Drive) -> dict[str, StartParameter]:
     variables = {}
     for v in drive.description.modelVariables:
         is_state = v.causality == "output" and getattr(v, "initial", None) == "exact" and v.start is not None
-        if v.type in REALS and not getattr(v, "shape", None) and (v.causality == "parameter" or is_state):
+        if v.type in DOUBLE_TYPES and not getattr(v, "shape", None) and (v.causality == "parameter" or is_state):
             variables[v.name] = v
     parameters: dict[str, StartParameter] = {}
     for output in drive.outputs:
@@ -256,7 +258,7 @@ def first_start(drive: Drive, parameters: Mapping[str, StartParameter]) -> dict[
     first = {n: float(v[np.isfinite(v)][0]) for n, v in log.outputs.items() if n in parameters}
     start = _values_for(parameters, first) | fixed
     sigma = noise_levels(log)
-    last = max(rows_of(log, 0, FIRST * log.slowness), min(FEWEST, log.rows - 1))
+    last = max(rows_of(log, 0, FIRST_S * log.slowness), min(MIN_PARABOLA_SAMPLES, log.rows - 1))
     for _ in range(PASSES if first else 0):
         carrier = as_columns(drive.run(0, last, start), drive.outputs)
         state = {name: float(carrier[name][0]) for name in parameters}
@@ -325,20 +327,20 @@ def _parabola(log: Log, errors: Sequence[Error], at: int, rows: Rows) -> tuple[f
     ahead = bool(rows.size and rows[-1] > at)
     estimate: tuple[float | None, float | None] = None, None
     for share in REACHES:
-        reach = share * log.slowness * (FIRST if ahead else PAST)
+        reach = share * log.slowness * (FIRST_S if ahead else PAST_S)
         designs, sides = [], []
         for error, sigma, derived in errors:
             good = np.isfinite(error)
             tau = log.time[rows[good]] - log.time[at]
             near = np.flatnonzero(np.abs(tau) <= reach + 1e-9)
-            if near.size < LEAST:  # for a slow sensor, the nearest few readings
-                nearest = np.argsort(np.abs(tau), kind="stable")[:LEAST]
+            if near.size < MIN_SLOPE_SAMPLES:  # of a slow sensor, the nearest few readings
+                nearest = np.argsort(np.abs(tau), kind="stable")[:MIN_SLOPE_SAMPLES]
                 near = np.sort(nearest[np.abs(tau[nearest]) <= OLDEST * log.slowness])
             tau, one, zero = tau[near], np.ones(near.size), np.zeros(near.size)
             designs.append(np.column_stack((zero, one, tau) if derived else (one, tau, 0.5 * tau**2)) / sigma)
             sides.append(error[good][near] / sigma)
         side = np.concatenate(sides)
-        order = 3 if side.size >= FEWEST else 2 if side.size >= 3 else 1
+        order = 3 if side.size >= MIN_PARABOLA_SAMPLES else 2 if side.size >= 3 else 1
         if side.size < order:
             break
         design = np.vstack(designs)[:, :order]

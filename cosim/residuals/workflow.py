@@ -42,16 +42,16 @@ from cosim.files.kinds import check_given
 from cosim.files.results import Results, rows_name
 from cosim.files.table import read_header, split_heading
 from cosim.fmi.building.file import load_model
-from cosim.fmi.building.refined import ANSWER, folder_of
+from cosim.fmi.building.refined import REFINE_RECORD, folder_of
 from cosim.fmi.description import display_units, read_description
 from cosim.fmi.fmu_build import build as build_fmu
 from cosim.isolation.limits import read_limits
 from cosim.isolation.process import Worker
 from cosim.logs.gate import gate, outliers, refuse_faults
-from cosim.logs.log import SENSORS, Finding, read_column_names
+from cosim.logs.log import SENSOR_FINDING, Finding, read_column_names
 from cosim.logs.spikes import find_spikes
 from cosim.residuals.compare import Comparison, compare, sentence, steps_of, verdict
-from cosim.residuals.drive import MODULES, PLANT, Drive, as_columns, drive_in, log_of_fmu, start_values
+from cosim.residuals.drive import PLANT_COMPONENT, REPLAY_MODULES, Drive, as_columns, drive_in, log_of_fmu, start_values
 from cosim.residuals.log_region import signals_along
 from cosim.residuals.replay_signals import Replay, read_replay
 from cosim.residuals.report import page
@@ -59,9 +59,9 @@ from cosim.residuals.residual_statistics import FREE_RUN
 from cosim.residuals.windows import Replay as Replayed
 from cosim.residuals.windows import free_run
 
-MEASURED = "log"  # component name of measurements in results; the FMU is PLANT
+LOG_COMPONENT = "log"  # component name of measurements, beside PLANT_COMPONENT
 NEXT_STUDY = "study.yaml"
-HEAD = """\
+STUDY_HEAD = """\
 # Written by `cosim replay`. In this folder:
 #   cosim check study.yaml    print which effects these logs can show
 #   cosim refine study.yaml   find the effects that the FMU lacks
@@ -117,7 +117,7 @@ def replay(
         place = named_path(folder)
         # an unavailable format is reported before the replay
         rows_file, residual_file = (place / rows_name(stem, format) for stem in ("results", "residual"))
-        worker = None if in_process else stack.enter_context(Worker(*MODULES))
+        worker = None if in_process else stack.enter_context(Worker(*REPLAY_MODULES))
         if worker is not None:
             worker.start()  # starts in parallel to the reading of files
         scratch = stack.enter_context(temporary_folder("replay"))
@@ -136,7 +136,7 @@ def replay(
                 f"refine.json claims {join_names(claimed)}, but {driven.name} has no sensor errors; correct the "
                 "readings"
             )
-            findings.append(Finding("warning", SENSORS, "", message))
+            findings.append(Finding("warning", SENSOR_FINDING, "", message))
         refuse_faults(measured, findings)
         written = rows_file.name, residual_file.name, "report.html", REPLAY, NEXT_STUDY
         check_writable(place, written, (path, driven))
@@ -186,7 +186,7 @@ def _plant_of(log: Path, columns: Mapping[str, str], folder: Path) -> Path:
 def _claimed_sensors(fmu: Path) -> list[str]:
     """Return the sensor errors that refine.json beside an FMU claims; FMUs do not contain them."""
     beside = folder_of(fmu)
-    effects = content_of(beside / ANSWER).get("effects") if beside else None
+    effects = content_of(beside / REFINE_RECORD).get("effects") if beside else None
     entries = effects if isinstance(effects, list) else []
     return [str(e.get("name")) for e in entries if isinstance(e, dict) and e.get("kind") == "sensor"]
 
@@ -228,7 +228,7 @@ def _next_study(folder: Path, fmu: Path | None, log: Path, columns: Mapping[str,
             name = str(path.resolve())
         return as_yaml(Path(name).as_posix())
 
-    lines = [HEAD, f"model: {written(fmu) if fmu else BASE}", "logs:"]
+    lines = [STUDY_HEAD, f"model: {written(fmu) if fmu else BASE}", "logs:"]
     lines.append(f"  estimation: [{written(log)}] # add more logs; co-simulation needs two")
     lines.append("  validation: [] # sealed logs, used once to check the result")
     if columns:
@@ -241,8 +241,8 @@ def _next_study(folder: Path, fmu: Path | None, log: Path, columns: Mapping[str,
 def results(drive: Drive, outputs: NamedArrays) -> Results:
     """Return commands and FMU outputs as `plant.variable`, measurements as `log.variable`."""
     log, rows = drive.log, len(next(iter(outputs.values())))
-    columns = {f"{PLANT}.{n}": v[:rows] for n, v in (*log.inputs.items(), *outputs.items())}
-    columns |= {f"{MEASURED}.{n}": v[:rows] for n, v in log.outputs.items()}
+    columns = {f"{PLANT_COMPONENT}.{n}": v[:rows] for n, v in (*log.inputs.items(), *outputs.items())}
+    columns |= {f"{LOG_COMPONENT}.{n}": v[:rows] for n, v in log.outputs.items()}
     declared = drive.units | dict(log.units)  # the log's units where the FMU declares none
     units = {name: declared.get(name.partition(".")[2], "") for name in columns}
     return Results(log.time[:rows], tuple(columns), np.column_stack(list(columns.values())), units)

@@ -51,10 +51,10 @@ def _kind_of(component: Any) -> str | None:
     if not isinstance(component, dict):
         return None
     block = component.get("block")
-    return f"«{block}»" if block in BLOCKS else "«fmu»" if "fmu" in component else None
+    return f"«{block}»" if block in SOURCE_KEYS else "«fmu»" if "fmu" in component else None
 
 
-BLOCKS = ("reference", "playback", "fix")
+SOURCE_KEYS = ("reference", "playback", "fix")
 
 
 class Noise(Part):

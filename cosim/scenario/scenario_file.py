@@ -15,6 +15,7 @@ from typing import Any
 
 from cosim.core.errors import Fault, InputError
 from cosim.core.text import did_you_mean
+from cosim.core.times import STEP_COUNT_TOLERANCE
 from cosim.files.artefact import MANIFEST, SCENARIO, kind_by_keys
 from cosim.files.folders import other_version
 from cosim.files.kinds import check_form, refuse_other
@@ -22,10 +23,9 @@ from cosim.files.yaml_file import Document, Location, NotYaml, Origin, YamlFile,
 from cosim.scenario.scenario import Component, FmuComponent, Recording, Scenario, ValidCriterion
 from cosim.scenario.start_values import STAND_IN, waiting_texts
 
-MOST_STEPS = 2e7
-ROUNDING = 1e-9  # relative tolerance for a whole number of steps
-FILES = ("fmu", "file", "parameters")  # keys of a component with file names
-SYSTEM = "system"  # folder with the scenario and FMUs of an SSP, in its run folder
+MAX_RUN_STEPS = 2e7
+FILE_KEYS = ("fmu", "file", "parameters")  # keys of file names of a component
+SYSTEM = "system"  # folder with scenario and FMUs in the run folder of an SSP
 Place = tuple[str | int, ...]  # keys of a part of the scenario
 LISTS = ("connections", "faults", "events")  # lists from which single faulty entries are removed
 STAND_INS: dict[str, Any] = {"name": "?", "duration": 1.0, "step": 0.1}
@@ -182,8 +182,8 @@ class ScenarioFile:
         count = s.duration / s.step
         if of_control or self.stands_in:  # Otherwise duration or step is faulty itself.
             pass
-        elif not count <= MOST_STEPS:
-            number = f"which makes {count:.3g} steps; a run may have at most {MOST_STEPS:g}"
+        elif not count <= MAX_RUN_STEPS:
+            number = f"which makes {count:.3g} steps; a run may have at most {MAX_RUN_STEPS:g}"
             cure = "give a longer step or a shorter duration"
             yield ("step",), f"step is {s.step:g} s, {number}; {cure}"
         elif not is_whole(count):
@@ -197,7 +197,7 @@ class ScenarioFile:
             yield where, f"{text} {divisor:.6g} s"
         if not self.stands_in and isinstance(s.record, Recording) and (every := s.record.every) is not None:
             steps, where = every / s.step, ("record", "every")
-            if every > s.duration * (1.0 + ROUNDING):
+            if every > s.duration * (1.0 + STEP_COUNT_TOLERANCE):
                 yield where, f"{every:g} s is longer than the run, {s.duration:g} s; use a shorter time"
             elif not is_whole(steps):
                 near = " or ".join(f"{n * s.step:.6g} s" for n in (math.floor(steps), math.ceil(steps)) if n)
@@ -225,7 +225,7 @@ class ScenarioFile:
         if control is None or self.stands_in:
             return
         least = TICKS * math.ulp(abs(s.start_time) + s.duration)
-        if not control.min <= control.max <= s.step * (1.0 + ROUNDING):
+        if not control.min <= control.max <= s.step * (1.0 + STEP_COUNT_TOLERANCE):
             times = f"min is {control.min:g} s, max {control.max:g} s and rows {s.step:g} s"
             key = "min" if control.min > control.max else "max"
             yield ("step", key), f"{times}; min must not exceed max, and max must not exceed rows"
@@ -238,8 +238,8 @@ class ScenarioFile:
 
 
 def is_whole(count: float) -> bool:
-    """Return True if a number of steps is an integer of at least 1, within rounding."""
-    return abs(count - round(count)) <= ROUNDING * max(1.0, count) and round(count) >= 1
+    """Return True if a number of steps is a whole number of at least 1, within rounding."""
+    return abs(count - round(count)) <= STEP_COUNT_TOLERANCE * max(1.0, count) and round(count) >= 1
 
 
 def _override(path: Path, data: dict[str, Any], text: str, subject: str) -> Location:
@@ -302,7 +302,7 @@ def from_here(keys: Sequence[str], value: Any) -> Any:
         return value
     if len(keys) < 3 and isinstance(value, Mapping):
         return {key: from_here([*keys, str(key)], part) for key, part in value.items()}
-    is_file = len(keys) == 3 and keys[2] in FILES and isinstance(value, str) and value != ""
+    is_file = len(keys) == 3 and keys[2] in FILE_KEYS and isinstance(value, str) and value != ""
     return os.path.abspath(value) if is_file else value
 
 

@@ -197,12 +197,12 @@ def convert_quantity(description: Any, variable: Any, text: str, difference: boo
 
 # -- texts whose unit must fit a signal ------------------------------------------------------------------
 
-KINDS = {  # key of a part → kind of its number
+NUMBER_KINDS = {  # key of a part → kind of its number
     **dict.fromkeys(("offset", "bias", "band"), "difference"),
     **dict.fromkeys(("start", "to"), "value"),
     **{"variance": "square", "rate": "rate"},
 }
-UNITS = {"time": "s", "share": "1"}  # kinds whose unit does not depend on the signal
+KIND_UNITS = {"time": "s", "share": "1"}  # kind → unit, whatever the signal
 
 
 def waiting_texts(
@@ -238,7 +238,7 @@ def _quantities(scenario: Scenario, places: Mapping[str, Sequence[int]]) -> Iter
 def _texts(at: Location, part: BaseModel, of: str | Measure, **kinds: str) -> Iterator[Quantity]:
     """Yield texts with units in a part of the scenario; `kinds` maps keys of the part to kinds of numbers."""
     for name, value in part:
-        kind = kinds.get(name) or KINDS.get(name)
+        kind = kinds.get(name) or NUMBER_KINDS.get(name)
         if kind and isinstance(value, str) and has_unit(value):  # other text is the name of a signal
             yield (*at, name), value, kind, of
         for k, each in enumerate(value) if isinstance(value, list) else [(None, value)]:
@@ -274,8 +274,8 @@ def _measure_in(unit: str) -> Measure:
 
 
 def _read(kind: str, measure: Callable[[str], Measure | None], of: str | Measure, text: str) -> float:
-    if kind in UNITS:
-        return read_quantity(text, UNITS[kind])
+    if kind in KIND_UNITS:
+        return read_quantity(text, KIND_UNITS[kind])
     if (unit_and_reader := measure(of) if isinstance(of, str) else of) is None:
         return STAND_IN
     unit, number = unit_and_reader

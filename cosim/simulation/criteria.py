@@ -19,8 +19,8 @@ from cosim.credibility.validity import Validity
 from cosim.files.results import Results
 from cosim.scenario.scenario import Scenario
 
-OUTSIDE = "time_outside_logs"  # key of the criterion `valid`: time [s] of a component outside its logs
-DIGITS, MOST_DIGITS = 4, 17  # digits of value and limit; MOST_DIGITS if both would look equal
+OUTSIDE = "time_outside_logs"  # of a component, the outcome of the criterion `valid`
+USUAL_DIGITS, MAX_DIGITS = 4, 17  # of a value and its limit; more where they would look the same
 
 
 @far_beyond
@@ -76,7 +76,7 @@ def sentence(outcome: dict[str, Any]) -> str:
     unit, factor = display(outcome["unit"])
     if not is_difference(outcome):
         unit, factor, sizes = shown_unit(outcome["unit"]), 1.0, [displayed(size, outcome["unit"]) for size in sizes]
-    for digits in range(DIGITS, MOST_DIGITS):
+    for digits in range(USUAL_DIGITS, MAX_DIGITS):
         value, limit = (append_unit(f"{size * factor:.{digits}g}", unit) for size in sizes)
         if value != limit:
             break

@@ -17,14 +17,14 @@ from cosim.core.text import counted
 from cosim.core.times import first_point
 from cosim.core.units import is_as_known
 from cosim.core.version import __version__
-from cosim.files.folders import COMMAND, SCHEMA_VERSION
+from cosim.files.folders import COMMAND_KEY, SCHEMA_VERSION
 from cosim.fmi.description import ways
 from cosim.master.observer import Change
 from cosim.scenario.scenario import Scenario, resolve_defaults
 from cosim.scenario.scenario_file import ScenarioFile, sha256
 from cosim.system.system import System
 
-PACKAGES = ("FMPy", "pythonfmu", "numpy", "scipy", "filterpy", "control", "pydantic")
+RECORDED_PACKAGES = ("FMPy", "pythonfmu", "numpy", "scipy", "filterpy", "control", "pydantic")
 
 
 def resolve_scenario(file: ScenarioFile, system: System) -> Scenario:
@@ -66,7 +66,7 @@ def manifest(file: ScenarioFile, system: System, command: str = "") -> dict[str,
     return {
         "schema_version": SCHEMA_VERSION,
         "cosim_version": __version__,
-        **({COMMAND: command} if command else {}),
+        **({COMMAND_KEY: command} if command else {}),
         "status": "ok",
         "date": datetime.now().astimezone().isoformat(timespec="seconds"),
         "set": file.overrides,
@@ -145,7 +145,7 @@ def software_versions() -> dict[str, Any]:
     The call is slow, because it starts git.
     """
     versions = {"python": platform.python_version(), "platform": platform.platform()}
-    for package in PACKAGES:
+    for package in RECORDED_PACKAGES:
         with suppress(PackageNotFoundError):
             versions[package.lower()] = version(package)
     git, folder = None, Path(__file__).resolve().parent.parent

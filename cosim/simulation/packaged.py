@@ -27,9 +27,9 @@ from cosim.system.system import build_system
 if TYPE_CHECKING:
     from cosim.ssp.read import Element, SspSystem
 
-FOLDER, SCENARIO = SYSTEM, "scenario.json"  # names inside the results folder
-STOP, STEP = 1.0, 0.01  # defaults [s] if neither the SSP nor its FMUs declare a value
-IMPORTERS = Jacobi()  # coupling algorithm of libcosim, ecos and FMPy
+SCENARIO_JSON = "scenario.json"  # in SYSTEM, inside the results folder
+DEFAULT_STOP_S, DEFAULT_STEP_S = 1.0, 0.01  # defaults [s] if neither the SSP nor its FMUs declare a value
+IMPORTERS = Jacobi()  # the coupling algorithm of libcosim, ecos and FMPy
 
 
 def is_ssp(path: Path) -> bool:
@@ -65,7 +65,7 @@ def lay_out(path: Path, folder: Path, overrides: Sequence[str] = ()) -> tuple[Sc
                 return Fault(package.shown, 0, 0, message, exit_code)
             return replace(element.fault(message), exit_code=exit_code)
 
-        trial = scratch / SCENARIO
+        trial = scratch / SCENARIO_JSON
         named = {name: {**c, "fmu": str(files[c["fmu"]])} for name, c in scenario["components"].items()}
         trial.write_text(json.dumps({**scenario, "components": named}), encoding="utf-8")
         faults = list(system.faults)
@@ -82,14 +82,14 @@ def lay_out(path: Path, folder: Path, overrides: Sequence[str] = ()) -> tuple[Sc
                     replace(f, message=f.message.replace(f"{package.folder}/", f"{package.shown}/")) for f in faults
                 ]
             raise InputError([replace(f, file=package.shown) if f.file == trial else f for f in faults])
-        within, inputs = folder / FOLDER, [path, *files.values()]
-        check_writable(within, (SCENARIO, *files), inputs)
+        within, inputs = folder / SYSTEM, [path, *files.values()]
+        check_writable(within, (SCENARIO_JSON, *files), inputs)
         remove_earlier(folder, read=inputs)
         for name, source in files.items():
             with draft_of(within / name) as draft:
                 shutil.copyfile(source, draft)
-        write_json(within / SCENARIO, scenario)
-        return ScenarioFile(within / SCENARIO, overrides, fault), warnings
+        write_json(within / SCENARIO_JSON, scenario)
+        return ScenarioFile(within / SCENARIO_JSON, overrides, fault), warnings
 
 
 def _scenario(
@@ -140,13 +140,13 @@ def _times(system: SspSystem, warnings: list[str], overrides: Set[str]) -> tuple
     experiments = [experiment_of(part.description) for part in system.parts.values()]
     assumed = []
     if stop is None:
-        stop = start + max((e["stop"] for e in experiments if e.get("stop", 0.0) > 0.0), default=STOP)
-        assumed.append(("duration", f"no stopTime: the run lasts {stop - start:g} s"))
+        stop = start + max((e["stop"] for e in experiments if e.get("stop", 0.0) > 0.0), default=DEFAULT_STOP_S)
+        assumed.append(("duration", f"no stopTime: {stop - start:g} s are run"))
     duration = stop - start
     if step is None:
-        step = min((e["step"] for e in experiments if e.get("step", 0.0) > 0.0), default=STEP)
-        assumed.append(("step", f"no communication step: {step:g} s is used"))
-    warnings += [f"the SSP has {text}; change it with --set {k}=VALUE" for k, text in assumed if k not in overrides]
+        step = min((e["step"] for e in experiments if e.get("step", 0.0) > 0.0), default=DEFAULT_STEP_S)
+        assumed.append(("step", f"no communication step: {step:g} s is taken"))
+    warnings += [f"the SSP names {text}; --set {k}=… for another" for k, text in assumed if k not in overrides]
     count = duration / step
     if not is_whole(count):
         duration = math.ceil(count) * step if count < 1e15 else duration

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 MAX_LINES = 8  # signals in the short text; further signals are counted only
 LONGEST_TEXT = 40  # characters of a value in a table
-WANTED = "the folder of a run or a table of its rows"
+RUN_OR_TABLE = "the folder of a run or a table of its rows"
 
 
 @dataclass(frozen=True)
@@ -239,7 +239,7 @@ def read_ran(path: Path) -> RecordedRun:
     try:
         path = newest_run(path)
         if not path.exists():
-            raise InputError.at(path, f"no such folder or file; give {WANTED}")
+            raise InputError.at(path, f"no such folder or file; give {RUN_OR_TABLE}")
         if not path.is_dir():
             check_given(path, LOG)
             results = read_results(path)
@@ -248,7 +248,7 @@ def read_ran(path: Path) -> RecordedRun:
         if rows is None:
             kind = folder_kind(path)
             if kind is None or "results" not in kind.tables:
-                refuse_folder(path, WANTED)
+                refuse_folder(path, RUN_OR_TABLE)
             names = " or ".join(f"results{suffix}" for suffix in suffixes())
             raise InputError.at(
                 path, f"this folder has no {names}{status_in(path)}; give another run, or a table of its rows"

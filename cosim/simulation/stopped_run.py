@@ -23,7 +23,7 @@ from typing import Any
 
 import numpy as np
 
-from cosim.blocks.model_exchange import LONGEST
+from cosim.blocks.model_exchange import MIN_SOLVER_STEPS
 from cosim.core.errors import InputError
 from cosim.core.scratch import lock_file
 from cosim.core.times import rounding, roundings
@@ -33,7 +33,7 @@ from cosim.files.folders import content_of, has_type, new_run, newest_run, sound
 from cosim.files.results import Results, read_results, rows_in
 from cosim.files.state_file import sync, unpack
 from cosim.isolation.rows import read_exact, read_table
-from cosim.master.checkpoint import BESIDE, FORMAT, ROWS, STATE, Continuation, RowsHash
+from cosim.master.checkpoint import BESIDE_FILE, CHECKPOINT_VERSION, ROWS_FILE, STATE_FILE, Continuation, RowsHash
 from cosim.master.remote import IN_USE, read_state
 from cosim.scenario.scenario import Scenario
 from cosim.scenario.scenario_file import ScenarioFile
@@ -54,9 +54,9 @@ ROWS_OF_ANOTHER_RUN = (
 )
 STOPPED_BEFORE_ROWS = "its run was stopped before its first row or checkpoint; run the scenario again from its start"
 
-FOLDER, RUN, MANIFEST = "checkpoint", "run.json", "manifest.json"
-PATIENCE, PAUSE = 15.0, 0.05  # time [s] to wait for the worker of a killed command, and between two checks
-EXTRA = "files"  # key of run.json with entries that a manifest does not have: name of the rows file, warnings of an SSP
+CHECKPOINT, RUN, MANIFEST_FILE = "checkpoint", "run.json", "manifest.json"
+PATIENCE, PAUSE = 15.0, 0.05  # time [s] for the worker of a killed command to end, and between two looks
+EXTRA = "files"  # key of run.json beside those of a manifest: name of the rows file, warnings of an SSP
 EXTRA_KIND = {"rows": str, "warnings": [str]}
 
 
@@ -103,7 +103,7 @@ class StoppedRun:
         start = self._first.start_time
         stop = start + self._first.step * self._first.steps  # as the master computes it
         exchanged: list[Any] = [stage.component for stage in system.stages if is_exchange(stage.component)]
-        return {c.name: (stop - start) / LONGEST for c in exchanged if c.instance.longest is None}
+        return {c.name: (stop - start) / MIN_SOLVER_STEPS for c in exchanged if c.instance.longest is None}
 
     def scenario(self, until: float | None, solver_steps: Mapping[str, float] = MappingProxyType({})) -> ScenarioFile:
         """Return the scenario, with the stop time `until` [s] if it is not None.
@@ -155,16 +155,18 @@ class StoppedRun:
         Raises:
             InputError: The run is finished, or its files do not fit together.
         """
-        kept = self.folder / FOLDER
+        kept = self.folder / CHECKPOINT
         count = self.checkpoint["point"] + 1 if self.checkpoint else 0
         start = None
-        if (kept / ROWS).is_file():
+        if (kept / ROWS_FILE).is_file():
             width = len(system.columns)
             if not count:
                 raise InputError.at(kept, STOPPED_BEFORE_ROWS)
-            if (kept / ROWS).stat().st_size < 8 * count * width:
-                raise InputError.at(kept / ROWS, ROWS_OF_ANOTHER_RUN)
-            start = Continuation(read_table(kept / ROWS, count, width), read_exact(kept / BESIDE, count), self.state)
+            if (kept / ROWS_FILE).stat().st_size < 8 * count * width:
+                raise InputError.at(kept / ROWS_FILE, ROWS_OF_ANOTHER_RUN)
+            start = Continuation(
+                read_table(kept / ROWS_FILE, count, width), read_exact(kept / BESIDE_FILE, count), self.state
+            )
         elif system.recording is None:
             # the first rows of the results
             results, rows = self._results, self.folder / self.rows_file
@@ -204,37 +206,38 @@ def open_stopped(path: Path, stack: ExitStack) -> StoppedRun:
     Raises:
         InputError: The folder contains no run to continue, or a checkpoint that is damaged or of another version.
     """
-    folder = path.parent if path.name == MANIFEST and path.is_file() else newest_run(path)
+    folder = path.parent if path.name == MANIFEST_FILE and path.is_file() else newest_run(path)
     if not folder.is_dir():
         raise InputError.at(
             path, "not the folder of a run; --resume and --until take the folder of an earlier run, as results/NAME"
         )
-    source = next((file for file in (folder / FOLDER / RUN, folder / MANIFEST) if file.is_file()), None)
+    source = next((file for file in (folder / CHECKPOINT / RUN, folder / MANIFEST_FILE) if file.is_file()), None)
     record = {} if source is None else content_of(source)
-    if source is None or (source.name == MANIFEST and "scenario" not in record):
+    if source is None or (source.name == MANIFEST_FILE and "scenario" not in record):
         raise InputError.at(folder, NOTHING_TO_RESUME)
-    sound, _ = sound_part(folder / MANIFEST, record)
+    sound, _ = sound_part(folder / MANIFEST_FILE, record)
     wrong = [key for key in record if key not in sound or (key == EXTRA and not has_type(record[key], EXTRA_KIND))]
     if wrong or "scenario" not in sound:
         raise InputError.at(source, DAMAGED_CHECKPOINT.format(reason=f"it has no {[*wrong, 'scenario'][0]}"))
     if (version := record.get("cosim_version")) != __version__:
         raise InputError.at(source, OTHER_VERSION.format(version=version, own=__version__))
     stack.enter_context(new_run(folder, "", "cosim run", force=True))
-    kept = folder / FOLDER
+    kept = folder / CHECKPOINT
     _wait_for_worker(kept)
     lasted: Any = record.get("timings", {}).get("simulate", 0.0)
     checkpoint: dict[str, Any] = {}
-    state = read_state(kept / STATE)
+    state = read_state(kept / STATE_FILE)
     if state is not None:
         try:
             checkpoint = unpack(state)
-            if checkpoint["format"] != FORMAT:
+            if checkpoint["format"] != CHECKPOINT_VERSION:
                 raise InputError.at(
-                    kept / STATE, OTHER_VERSION.format(version=f"format {checkpoint['format']}", own=FORMAT)
+                    kept / STATE_FILE,
+                    OTHER_VERSION.format(version=f"format {checkpoint['format']}", own=CHECKPOINT_VERSION),
                 )
             lasted = float(checkpoint["elapsed"])
         except (ValueError, LookupError, TypeError, RecursionError) as error:  # also BadState
-            raise InputError.at(kept / STATE, DAMAGED_CHECKPOINT.format(reason=str(error))) from None
+            raise InputError.at(kept / STATE_FILE, DAMAGED_CHECKPOINT.format(reason=str(error))) from None
     rows = rows_in(folder)
     rows_file = record.get(EXTRA, {}).get("rows", "results.csv" if rows is None else rows.name)
     lasted = lasted if isinstance(lasted, float) else 0.0
@@ -256,9 +259,9 @@ def _wait_for_worker(kept: Path) -> None:
 
 
 def remove_checkpoints(folder: Path) -> None:
-    """Remove the checkpoints of another run, after its worker has ended."""
-    _wait_for_worker(folder / FOLDER)
-    shutil.rmtree(folder / FOLDER, ignore_errors=True)
+    """Remove the checkpoints of another run, once its worker has ended."""
+    _wait_for_worker(folder / CHECKPOINT)
+    shutil.rmtree(folder / CHECKPOINT, ignore_errors=True)
 
 
 def write_run(folder: Path, record: Mapping[str, Any], rows_file: str, warnings: Sequence[str]) -> Path:
@@ -267,7 +270,7 @@ def write_run(folder: Path, record: Mapping[str, Any], rows_file: str, warnings:
     Args:
         warnings: Warnings in the record that do not come from the scenario.
     """
-    kept = folder / FOLDER
+    kept = folder / CHECKPOINT
     kept.mkdir(exist_ok=True)
     write_json(kept / RUN, {**record, EXTRA: {"rows": rows_file, "warnings": list(warnings)}})
     sync(kept / RUN)
@@ -282,9 +285,9 @@ def end_keeping(folder: Path, *, is_kept: bool, keeps_rows: bool = False) -> Non
         is_kept: True if the checkpoints in the folder belong to this run.
         keeps_rows: True if the rows are kept, because the results contain only a part of them.
     """
-    kept = folder / FOLDER
+    kept = folder / CHECKPOINT
     if not is_kept:
         shutil.rmtree(kept, ignore_errors=True)
-    for name in (IN_USE,) if keeps_rows else (ROWS, BESIDE, IN_USE):
+    for name in (IN_USE,) if keeps_rows else (ROWS_FILE, BESIDE_FILE, IN_USE):
         with suppress(OSError):
             (kept / name).unlink(missing_ok=True)

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from cosim.blocks.compiling import LIMIT, permission
+from cosim.blocks.compiling import FMU_COMPILE_LIMIT_S, permission
 from cosim.blocks.summary import experiment_of
 from cosim.core import errors
 from cosim.core.errors import FmuError, InputError, Interrupted
@@ -24,16 +24,17 @@ from cosim.fmi.description import read_description, takes_any_step, validation
 from cosim.isolation.limits import Limits
 from cosim.isolation.process import Worker
 from cosim.master.beforehand import with_feedthrough
-from cosim.master.remote import MODULES, simulate_in
+from cosim.master.remote import RUN_MODULES, simulate_in
 from cosim.scenario.scenario_file import ScenarioFile
 from cosim.simulation.manifest import check_pinned
 from cosim.simulation.packaged import lay_out
 from cosim.system.recording import recording_notes
 from cosim.system.system import System, build_system
 
-MAX_CALL_TIME = 60.0  # time limit of a call during the trial of an FMU [s]
-MOST_INNER_STEPS = 10_000  # internal steps of an FMU with a fixed internal step during the trial
-STEP, STEPS = 0.01, 500  # step [s] without default experiment; number of steps if an experiment has no step size
+MAX_CALL_TIME = 60.0  # allowed time [s] of a call during the trial of an FMU
+MOST_INNER_STEPS = 10_000  # of an FMU with a fixed internal step, so that the trial is short
+TRIAL_STEP_S = 0.01  # without a default experiment
+TRIAL_STEPS = 500  # in an experiment without step size
 
 
 def check_fmu(path: Path, checking: Checking) -> list[str]:
@@ -54,7 +55,7 @@ def check_fmu(path: Path, checking: Checking) -> list[str]:
 
         experiment = experiment_of(description)
         start, stop, step = (experiment.get(name, 0.0) for name in ("start", "stop", "step"))
-        step = step if step > 0.0 else (stop - start) / STEPS if stop > start else STEP
+        step = step if step > 0.0 else (stop - start) / TRIAL_STEPS if stop > start else TRIAL_STEP_S
         inner = float(getattr(description.coSimulation, "fixedInternalStepSize", None) or 0.0)
         if inner and takes_any_step(description):
             step = min(step, MOST_INNER_STEPS * inner)
@@ -116,7 +117,7 @@ def _check(file: ScenarioFile, path: Path, worker: Worker | None, warnings: Sequ
 
 def _run_once(file: ScenarioFile, system: System, path: Path, worker: Worker) -> list[str]:
     """Return the messages of the FMUs in the first step; raise InputError with a fault at `path` if it fails."""
-    load_limit = MAX_CALL_TIME + (LIMIT if permission.get() else 0.0)
+    load_limit = MAX_CALL_TIME + (FMU_COMPILE_LIMIT_S if permission.get() else 0.0)
     system = replace(system, events={k: changes for k, changes in system.events.items() if k <= 1})
     limits = file.scenario.limits or Limits(step=MAX_CALL_TIME, load=load_limit)
     worker.start()
@@ -183,7 +184,7 @@ def coupling_error(scenario: FilePath, overrides: Sequence[str] = (), *, in_proc
         raise InputError([original.fault(("step",), reason)])
     runs: list[Results] = []
     with ExitStack() as stack:
-        worker = None if in_process else stack.enter_context(Worker(*MODULES))
+        worker = None if in_process else stack.enter_context(Worker(*RUN_MODULES))
         for parts in (1, 2):
             step, steps = original.scenario.step / parts, original.scenario.steps * parts
             file = ScenarioFile(Path(scenario), (*overrides, "noise=off", f"step={step!r}"))

@@ -29,7 +29,7 @@ from cosim.files.files import (
     write_json,
 )
 from cosim.files.folders import (
-    COMMAND,
+    COMMAND_KEY,
     NUMBERED,
     STARTED,
     content_of,
@@ -42,9 +42,9 @@ from cosim.files.state_file import write_durable
 from cosim.isolation.limits import Limits
 from cosim.isolation.process import Worker
 from cosim.master.beforehand import with_feedthrough, without_ended_states
-from cosim.master.checkpoint import STATE, Continuation, Keeping
+from cosim.master.checkpoint import STATE_FILE, Continuation, Keeping
 from cosim.master.observer import Change, InputFunctions, NamedFunctions, Observers, ProgressObserver, with_changes
-from cosim.master.remote import MODULES, simulate_in
+from cosim.master.remote import RUN_MODULES, simulate_in
 from cosim.scenario.scenario_file import ScenarioFile, from_here, sha256
 from cosim.simulation.criteria import evaluate
 from cosim.simulation.manifest import add_changes, check_pinned, manifest, software_versions
@@ -52,7 +52,7 @@ from cosim.simulation.packaged import is_ssp, lay_out
 from cosim.simulation.run_signals import Run, run_of
 from cosim.simulation.stopped_run import (
     EXTRA,
-    MANIFEST,
+    MANIFEST_FILE,
     end_keeping,
     open_stopped,
     remove_checkpoints,
@@ -151,7 +151,7 @@ def run(
         path = stack.enter_context(_scenario_file(scenario))
         if not goes_on and not is_ssp(path):
             check_form(path, artefact.SCENARIO, artefact.MANIFEST)  # before the worker is started
-        worker = None if in_process else stack.enter_context(Worker(*MODULES))
+        worker = None if in_process else stack.enter_context(Worker(*RUN_MODULES))
         if worker is not None:
             worker.start()  # starts in parallel to the reading of files
         software = stack.enter_context(ThreadPoolExecutor(1)).submit(software_versions)  # parallel to the loading
@@ -169,9 +169,9 @@ def run(
             system, rows_file = build_system(file), rows_name("results", format)
             if not is_package:
                 remove_earlier(place, read=file.files)
-            check_writable(place, (rows_file, MANIFEST, "report.html"), file.files)
+            check_writable(place, (rows_file, MANIFEST_FILE, "report.html"), file.files)
             system = replace(with_feedthrough(file, system, worker, tell), pace=file.scenario.pace)
-            command = content_of(place / STARTED).get(COMMAND, VERB)
+            command = content_of(place / STARTED).get(COMMAND_KEY, VERB)
             record = manifest(file, system, "" if command == VERB else command) | software.result()
             if is_package:
                 record["ssp"] = {"path": str(path.resolve()), "sha256": sha256(path)}
@@ -309,9 +309,9 @@ def _prepare_stopped(
         start, ended = without_ended_states(system, grid, start, stopped.end, worker, limits)
         if ended:
             time_ = file.scenario.start_time + stopped.end * file.scenario.step
-            reason = f"the saved state cannot continue beyond t = {time_:g} s, the stop time given to the FMU"
-            tell(Note(f"{', '.join(ended)}: {reason}, so all steps are repeated"))
-    check_writable(stopped.folder, (stopped.rows_file, MANIFEST, "report.html"), file.files)
+            reason = f"the saved state does not go beyond t = {time_:g} s, the end that the FMU was told"
+            tell(Note(f"{', '.join(ended)}: {reason}; so all steps are made again"))
+    check_writable(stopped.folder, (stopped.rows_file, MANIFEST_FILE, "report.html"), file.files)
     if changes := [Change(point, values) for point, values in stopped.checkpoint.get("changes", ())]:
         system = replace(system, events=with_changes(system.events, changes))
         start = start and replace(start, changes=changes)
@@ -365,13 +365,13 @@ def _write_files(
     try:
         results.write(rows)
         has_rows = True
-        rows.with_name("report.html").unlink(missing_ok=True)  # report of the run before it was resumed
-        write_json(rows.with_name(MANIFEST), record)
+        rows.with_name("report.html").unlink(missing_ok=True)  # of the run before it went on
+        write_json(rows.with_name(MANIFEST_FILE), record)
         is_part = prepared.system.recording is not None
         end_keeping(rows.parent, is_kept=is_kept, keeps_rows=is_part)
         if state is not None and not is_part:
             kept = write_run(rows.parent, prepared.record, rows.name, prepared.warnings)
-            write_durable(kept / STATE, state)
+            write_durable(kept / STATE_FILE, state)
         release_stops()
         if any(pages.values()):
             from cosim.simulation.report.figures import write_pages
@@ -385,7 +385,7 @@ def _write_files(
         if not has_rows:
             del record["rows"]
         with suppress(OSError):
-            write_json(rows.with_name(MANIFEST), record)
+            write_json(rows.with_name(MANIFEST_FILE), record)
         at = results.time[-1].item() if len(results.time) else 0.0
         before = "" if failure is None or isinstance(failure, DiskFull) else f"; before that {failure}"
         reason = f"the disk is full: {len(results.time) if has_rows else 0} rows are in {rows.name}{before}"
@@ -399,7 +399,7 @@ def _write_files(
         record["no_report"] = stopped.reason
         cure = f"`cosim report {shell_path(rows.parent)}` writes it"
         record["warnings"].append(f"there is no report: {stopped.reason}; {cure}")
-        write_json(rows.with_name(MANIFEST), record)
+        write_json(rows.with_name(MANIFEST_FILE), record)
         return stopped
     finally:
         hold_stops()  # the end of the run must still be reported

@@ -24,13 +24,14 @@ from cosim.core.messages import with_prefix
 from cosim.core.scratch import temporary_folder
 from cosim.core.text import did_you_mean, unique_name
 from cosim.core.units import SI
-from cosim.files.archive import MOST_XML, SSP, STRUCTURE, BadArchive, check_xml, unpack
+from cosim.files.archive import MOST_XML, SSP_CONTENTS, STRUCTURE, BadArchive, check_xml, unpack
 from cosim.files.artefact import SSP as SSP_FILE
 from cosim.files.kinds import check_form
 from cosim.files.yaml_file import MOST_FAULTS, format_value
 from cosim.fmi.description import is_difference, read_description, unit_definition, unit_of
+from cosim.fmi.fmi_types import FLOAT_TYPES
 
-NAMESPACES = {
+SSP_NAMESPACES = {
     "http://ssp-standard.org/SSP1/SystemStructureDescription": "ssd",
     "http://ssp-standard.org/SSP1/SystemStructureCommon": "ssc",
     "http://ssp-standard.org/SSP1/SystemStructureParameterValues": "ssv",
@@ -131,7 +132,7 @@ def open_package(path: Path) -> Iterator[Package]:
     with temporary_folder("ssp") as scratch:
         folder = scratch.resolve()
         try:
-            unpack(path, folder, SSP)
+            unpack(path, folder, SSP_CONTENTS)
         except BadArchive as error:
             raise InputError.at(path, f"is not an SSP: {error}") from None
         except OSError as error:
@@ -154,7 +155,7 @@ def _parse(file: Path, text: bytes) -> Element:
         prefix, _, local = name.rpartition(":")
         uri = prefixes[-1].get(prefix)
         # an undeclared prefix is assumed to be the standard's
-        prefix = prefix if uri is None else NAMESPACES.get(uri, prefix or "?")
+        prefix = prefix if uri is None else SSP_NAMESPACES.get(uri, prefix or "?")
         place = parser.CurrentLineNumber, parser.CurrentColumnNumber + 1
         element = Element(file, f"{prefix}:{local}", attributes, *place)
         ancestors[-1].children.append(element)
@@ -179,11 +180,11 @@ Units = Mapping[str, Definition]
 Default = TypeVar("Default", float, None)
 
 VERSIONS = ("1.0", "2.0")
-FMU = "application/x-fmu-sharedlibrary"
+FMU_TYPE = "application/x-fmu-sharedlibrary"
 PARAMETER_SET = "application/x-ssp-parameter-set"
-INTERFACES = {"any": None, "CoSimulation": "co-simulation", "ModelExchange": "model-exchange"}
+INTERFACE_KINDS = {"any": None, "CoSimulation": "co-simulation", "ModelExchange": "model-exchange"}
 # vendor annotations of OSP and of OMSimulator
-STEPS = {"FixedStepAlgorithm": "baseStepSize", "FixedStepMaster": "stepSize"}
+STEP_ATTRIBUTES = {"FixedStepAlgorithm": "baseStepSize", "FixedStepMaster": "stepSize"}
 SENDERS = {"output", "calculatedParameter"}  # kinds of connectors
 OTHER_TRANSFORMATIONS = (
     "ssc:BooleanMappingTransformation",
@@ -191,10 +192,9 @@ OTHER_TRANSFORMATIONS = (
     "ssc:EnumerationMappingTransformation",
 )
 NO_NAME = "it has no name; add one"
-REALS = ("Real", "Float64", "Float32")
-WHOLE = ("Integer", *(f"{sign}Int{bits}" for sign in ("", "U") for bits in (8, 16, 32, 64)))
+INTEGER_TYPES = ("Integer", *(f"{sign}Int{bits}" for sign in ("", "U") for bits in (8, 16, 32, 64)))
 BOOLEANS = {"true": True, "1": True, "false": False, "0": False}
-TYPES = (*REALS, *WHOLE, "Boolean", "String", "Enumeration", "Binary")
+VALUE_TYPES = (*FLOAT_TYPES, *INTEGER_TYPES, "Boolean", "String", "Enumeration", "Binary")
 
 
 @dataclass(frozen=True)
@@ -314,13 +314,13 @@ class Reader:
     def value(self, typed: Element) -> Any:
         """Return a typed value; None for a faulty value, after recording the fault."""
         kind, text = typed.tag.partition(":")[2], typed.get("value")
-        if kind not in TYPES:
-            self.note(typed, f"is not a type of a value{did_you_mean(kind, TYPES[:-1])}")
+        if kind not in VALUE_TYPES:
+            self.note(typed, f"is not a type of a value{did_you_mean(kind, VALUE_TYPES[:-1])}")
         elif text is None:
             self.note(typed, "it has no value; add it. Arrays are not supported, bind their elements by name")
-        elif kind in (*REALS, *WHOLE):
+        elif kind in (*FLOAT_TYPES, *INTEGER_TYPES):
             number = self.number(typed, "value", None)
-            if number is None or kind in REALS:
+            if number is None or kind in FLOAT_TYPES:
                 return number
             if number == int(number):
                 return int(text) if text.strip().lstrip("+-").isdigit() else int(number)
@@ -403,7 +403,7 @@ class SspSystem(Reader):
         """Return the communication step [s] of another tool's annotation, if any."""
         annotations = filter(None, (holder.first("ssd:Annotations") for holder in holders))
         for element in chain.from_iterable(each.descendants() for each in annotations):
-            attribute = STEPS.get(element.tag.rpartition(":")[2])
+            attribute = STEP_ATTRIBUTES.get(element.tag.rpartition(":")[2])
             if attribute and element.get(attribute) is not None:
                 step = self.number(element, attribute, None)
                 if step is not None and step <= 0.0:
@@ -438,11 +438,14 @@ class SspSystem(Reader):
         self.read_connectors(element, place)
         self.bindings.append((place, element))
         kind, source, interface = (element.get(name) for name in ("type", "source", "implementation"))
-        if (interface or "any") not in INTERFACES:
-            names = ", ".join(INTERFACES)
+        if (interface or "any") not in INTERFACE_KINDS:
+            names = ", ".join(INTERFACE_KINDS)
             self.note(element, f"implementation {format_value(interface)} is not supported; supported: {names}")
-        if (kind or FMU) != FMU:
-            self.note(element, f"type {format_value(kind)} is not supported; use {FMU}, or nested systems in this file")
+        if (kind or FMU_TYPE) != FMU_TYPE:
+            self.note(
+                element,
+                f"type {format_value(kind)} is not supported; use {FMU_TYPE}, or nested systems in this file",
+            )
             return
         fmu = self.package.resolve(source) if source else "it has no source; name its FMU"
         if isinstance(fmu, str):
@@ -457,7 +460,7 @@ class SspSystem(Reader):
         name = re.sub(r"[^A-Za-z0-9_]", "_", "_".join(place))
         name = f"_{name}" if name[:1].isdigit() else name
         unique = unique_name(name, {part.name for part in self.parts.values()})
-        interface = INTERFACES.get(interface or "any")
+        interface = INTERFACE_KINDS.get(interface or "any")
         self.parts[place] = FmuPart(place, unique, fmu, interface, element, description, variables)
         for (at, connector_name), connector in self.connectors.items():
             if at == place and connector_name not in variables and connector.kind in {"input", "output", "parameter"}:

@@ -18,12 +18,11 @@ from xml.etree.ElementTree import Element, SubElement, indent, tostring
 from cosim.core.drafts import draft_of
 from cosim.core.units import SI, definition_of
 from cosim.core.version import __version__
-from cosim.files.archive import STRUCTURE
+from cosim.files.archive import ARCHIVE_DATE, STRUCTURE
 from cosim.fmi.description import unit_definition
-from cosim.ssp.read import FMU, NAMESPACES, Units
+from cosim.ssp.read import FMU_TYPE, SSP_NAMESPACES, Units
 
-EPOCH = (1980, 1, 1, 0, 0, 0)
-START, RESOURCES = "start", "resources"
+START_FILE, RESOURCES_FOLDER = "start", "resources"
 OSP = "http://opensimulationplatform.com/SSP/OSPAnnotations"
 OSP_TYPE = "com.opensimulationplatform"  # annotation from which libcosim reads the communication step
 Value = float | int | bool | str
@@ -84,16 +83,16 @@ def defined_units(used: Iterable[tuple[Any, str]]) -> Units:
 
 def write_ssp(path: Path, whole: Whole) -> Path:
     """Write an SSP completely or not at all, byte-reproducible."""
-    files = {model.name: f"{RESOURCES}/{model.name}.fmu" for model in whole.models}
+    files = {model.name: f"{RESOURCES_FOLDER}/{model.name}.fmu" for model in whole.models}
     members = {STRUCTURE: _xml(_description(whole, files))}
     if any(model.start for model in whole.models):
         start = _parameter_set((f"{m.name}.{name}", typed) for m in whole.models for name, typed in m.start.items())
         start.attrib |= _namespaces("ssv")
-        members[f"{RESOURCES}/{START}.ssv"] = _xml(start)
+        members[f"{RESOURCES_FOLDER}/{START_FILE}.ssv"] = _xml(start)
     members |= {files[model.name]: model.fmu.read_bytes() for model in whole.models}
     with draft_of(path) as draft, zipfile.ZipFile(draft, "w", zipfile.ZIP_DEFLATED) as archive:
         for name, data in members.items():
-            archive.writestr(zipfile.ZipInfo(name, EPOCH), data, zipfile.ZIP_DEFLATED)
+            archive.writestr(zipfile.ZipInfo(name, ARCHIVE_DATE), data, zipfile.ZIP_DEFLATED)
     return path
 
 
@@ -122,7 +121,7 @@ def _xml(root: Element) -> bytes:
 
 def _namespaces(*prefixes: str) -> dict[str, str]:
     """Return the XML attributes that declare namespaces."""
-    return {f"xmlns:{prefix}": uri for uri, prefix in NAMESPACES.items() if prefix in prefixes}
+    return {f"xmlns:{prefix}": uri for uri, prefix in SSP_NAMESPACES.items() if prefix in prefixes}
 
 
 def _description(whole: Whole, files: Mapping[str, str]) -> Element:
@@ -131,7 +130,7 @@ def _description(whole: Whole, files: Mapping[str, str]) -> Element:
     system = SubElement(root, "ssd:System", name="system", description=whole.description)
     elements = SubElement(system, "ssd:Elements")
     for model in whole.models:
-        about = {"name": model.name, "type": FMU, "source": files[model.name], "implementation": "CoSimulation"}
+        about = {"name": model.name, "type": FMU_TYPE, "source": files[model.name], "implementation": "CoSimulation"}
         element = SubElement(elements, "ssd:Component", about)
         connectors = SubElement(element, "ssd:Connectors") if model.ports else element
         for port in model.ports:
@@ -173,7 +172,7 @@ def _write_units(root: Element, tag: str, definitions: Units) -> None:
             base.set("offset", repr(definition[-1]))
 
 
-def _parameter_set(values: Iterable[tuple[str, tuple[str, Value]]], name: str = START) -> Element:
+def _parameter_set(values: Iterable[tuple[str, tuple[str, Value]]], name: str = START_FILE) -> Element:
     element = Element("ssv:ParameterSet", version="1.0", name=name)
     parameters = SubElement(element, "ssv:Parameters")
     for parameter, (kind, value) in values:

@@ -20,14 +20,14 @@ from cosim.fmi.description import unit_of
 from cosim.scenario.scenario import Scenario, resolve_defaults
 from cosim.scenario.scenario_file import ScenarioFile, keys_of
 from cosim.scenario.start_values import convert_quantity, convert_value, settable
-from cosim.sweeps.sampling import MOST_RUNS, Factor, are_numbers, distribution, drawn_rows, saltelli_base
+from cosim.sweeps.sampling import MAX_SWEEP_RUNS, Factor, are_numbers, distribution, drawn_rows, saltelli_base
 from cosim.sweeps.sweep_file import DISTRIBUTIONS, SweepFile, Varied
 from cosim.system.system import System, build_system
 
-FIXED = ("duration", "start_time", "criteria", "name", "description", "limits")  # keys that must be equal in all runs
-FILES = ("fmu", "file")  # last keys of paths to file names
-NOT_REAL = ("Boolean", "String", "Enumeration", "Integer")  # FMI types for which distributions are not allowed
-MAX_TESTED_VALUES = 50  # values of a path that are tested before the first run
+FIXED_KEYS = ("duration", "start_time", "criteria", "name", "description", "limits")  # keys common to all runs
+FACTOR_FILE_KEYS = ("fmu", "file")  # last keys of paths to file names
+NOT_REAL = ("Boolean", "String", "Enumeration", "Integer")  # types of FMI without distributions
+MAX_TESTED_VALUES = 50  # values of a path tested before any run
 Location = tuple[str | int, ...]
 STANDARD_DEVIATION: Location = ("normal", 1)  # second number of `normal`; the first is the mean
 
@@ -35,7 +35,7 @@ STANDARD_DEVIATION: Location = ("normal", 1)  # second number of `normal`; the f
 def resolve_file_name(sweep: Path, name: str, value: Any) -> Any:
     """Return a value for a path of the scenario; a file name, relative to the sweep file, becomes absolute."""
     last = name.rpartition(".")[2]
-    return str((sweep.parent / value).resolve()) if last in FILES and isinstance(value, str) else value
+    return str((sweep.parent / value).resolve()) if last in FACTOR_FILE_KEYS and isinstance(value, str) else value
 
 
 class Factors:
@@ -56,11 +56,11 @@ class Factors:
         sampled = sum(v.way in DISTRIBUTIONS for v in file.vary.values())
         rows = drawn_rows(sampled, any(v.each is not None for v in file.vary.values()), file.runs, file.sampling)
         count = math.prod(listed.values()) * rows
-        if count > MOST_RUNS:  # checked before anything is allocated
+        if count > MAX_SWEEP_RUNS:  # before anything is allocated
             largest = max(listed, key=lambda n: listed[n], default="")
             in_list = bool(listed) and (not sampled or listed[largest] > file.runs)
             where: Location = ("vary", largest) if in_list else ("runs",)
-            text = f"{count:.3g} runs exceed the limit of {MOST_RUNS:,} runs; give fewer values or runs"
+            text = f"{count:.3g} runs exceed the {MAX_SWEEP_RUNS:,} that a sweep may have; give fewer values or runs"
             raise InputError([yaml.fault(where, text, key=in_list)])
         if file.sampling == "saltelli" and (listed or not sampled):
             text = "saltelli needs distributions, not listed values"
@@ -135,8 +135,8 @@ class Factors:
                 text = f'"{short(first)}" is no longer supported. {cure} A sweep over designs varies the FMUs.'
             self._note(("vary", name), text, key=True)
             return None
-        if first in FIXED:
-            self._note(("vary", name), f"{first} must be the same in all runs; give it under `set`", key=True)
+        if first in FIXED_KEYS:
+            self._note(("vary", name), f"{first} is one for all runs; give it by `set`", key=True)
             return None
 
         def convert(where: Location, entry: Any) -> Any:

@@ -22,11 +22,11 @@ from cosim.core.extras import optional
 from cosim.core.version import __version__
 from cosim.isolation.process import Worker, start_together
 from cosim.sweeps.reading import Sweep
-from cosim.sweeps.runs import MODULES, Job, RunRequest, RunResult, make_run_apart, work_in
+from cosim.sweeps.runs import SWEEP_MODULES, Job, RunRequest, RunResult, make_run_apart, work_in
 
-ANSWER = 5  # time limit for the answer of a dask scheduler [s]
-RUNS_PER_THREAD = 4  # runs per thread that are requested in advance from a dask cluster
-REQUESTED = 2  # runs per local process that are requested in advance: the current one and the next
+SCHEDULER_TIMEOUT_S = 5  # time limit of a dask scheduler's answer [s]
+RUNS_PER_THREAD = 4  # requested at once from a dask cluster
+REQUESTED = 2  # runs for each process here: the one under way, and the next
 
 MOMENT = 0.5  # time without a finished run [s] after which finished runs are stored
 
@@ -40,7 +40,7 @@ def make_runs_here(job: Job, workers: int | None, requests: Iterable[RunRequest]
         workers: Number of processes; None means one per core.
     """
     count = workers or cores()
-    processes, idle, kill = [Worker(*MODULES) for _ in range(count)], SimpleQueue[Worker](), True
+    processes, idle, kill = [Worker(*SWEEP_MODULES) for _ in range(count)], SimpleQueue[Worker](), True
     start_together(processes)
     for process in processes:
         idle.put(process)
@@ -126,9 +126,9 @@ def dask_cluster(study: Sweep, address: str, place: Callable[[str], Fault]) -> I
             room = 1
 
     try:
-        client = distributed.Client(address, timeout=ANSWER)
+        client = distributed.Client(address, timeout=SCHEDULER_TIMEOUT_S)
     except (OSError, ValueError, TypeError) as error:
-        message = f"no dask scheduler responds at {address} within {ANSWER} s ({_one_line(error)}); "
+        message = f"no dask scheduler answers at {address} within {SCHEDULER_TIMEOUT_S} s ({_one_line(error)}); "
         raise InputError([place(message + "start one by `dask scheduler`")]) from None
     with client:
         if not client.nthreads():

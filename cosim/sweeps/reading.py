@@ -24,11 +24,11 @@ from cosim.isolation.limits import Limits
 from cosim.isolation.process import Worker
 from cosim.isolation.watch import Watch, fmi_calls
 from cosim.master.beforehand import with_feedthrough
-from cosim.master.remote import MODULES
+from cosim.master.remote import RUN_MODULES
 from cosim.scenario.scenario import Scenario, resolve_defaults
 from cosim.scenario.scenario_file import ScenarioFile
 from cosim.simulation.manifest import resolve_scenario
-from cosim.sweeps.factors import FILES, Factors, resolve_file_name
+from cosim.sweeps.factors import FACTOR_FILE_KEYS, Factors, resolve_file_name
 from cosim.sweeps.runs import Job, RunRequest, time_reached
 from cosim.sweeps.sampling import Factor, columns_of
 from cosim.sweeps.store import Runs
@@ -107,7 +107,7 @@ def read_sweep(path: Path, *, loads: bool = False) -> Sweep:
         raise InputError(faults) from None
     scenario = scenario_file.scenario
     if loads and system.assumed:
-        with Worker(*MODULES) as worker:
+        with Worker(*RUN_MODULES) as worker:
             system = with_feedthrough(scenario_file, system, worker)
         scenario = scenario_file.scenario  # includes the measured inputs
         measured = {name: getattr(component, "feedthrough", None) for name, component in scenario.components.items()}
@@ -144,10 +144,10 @@ def read_sweep(path: Path, *, loads: bool = False) -> Sweep:
     component_files = {
         f"components.{name}.{key}": component[key]
         for name, component in resolved["components"].items()
-        for key in FILES
+        for key in FACTOR_FILE_KEYS
         if component.get(key)
     }
-    varied = [v for name, values in columns.items() if name.rpartition(".")[2] in FILES for v in values]
+    varied = [v for name, values in columns.items() if name.rpartition(".")[2] in FACTOR_FILE_KEYS for v in values]
     return Sweep(
         yaml,
         file,

@@ -15,26 +15,25 @@ from cosim.report.charts import Charts, Plot
 from cosim.report.panels import Panel, Trace, extent, signal_panel
 from cosim.report.template import render
 from cosim.sweeps.reading import Swept, repeat_command
-from cosim.sweeps.sampling import MIN_RUNS, QUANTILES, Factor, Sensitivity, are_numbers, sensitivity
-from cosim.sweeps.store import TABLE, hardest, read_table, signal_of
+from cosim.sweeps.sampling import MIN_SENSITIVITY_RUNS, QUANTILES, Factor, Sensitivity, are_numbers, sensitivity
+from cosim.sweeps.store import SWEEP_TABLE, hardest, read_table, signal_of
 from cosim.sweeps.sweep_file import DISTRIBUTIONS, Grid
 
 TEMPLATE = Path(__file__).with_name("templates") / "sweep.html.j2"
 MOST_BANDS = 16
-MOST_RUNS = 20_000  # runs from which a band over time is computed
-MOST_POINTS = 2000  # runs in a scatter plot
-MOST_SCATTERED = 4  # criteria with scatter plots, each plotted over two factors
-NEVER = "never"
+MAX_BAND_RUNS = 20_000  # at most, for a band
+MAX_SCATTER_POINTS = 2000  # runs in a scatter plot
+MOST_SCATTERED = 4  # criteria with scatter plots, each over two factors
 MOST_OTHERS = 24  # further scatter plots
-MOST_BINS, MOST_LINES = 60, 300  # bars of a histogram; lines in parallel coordinates
-MOST_LISTED = 10  # runs farthest from meeting a criterion that are listed
-MARK = 0.012  # width of the mark at the chance level, as a share of the bar
+MAX_HISTOGRAM_BINS, MAX_PARALLEL_LINES = 60, 300  # of a histogram; of parallel coordinates
+MOST_LISTED = 10  # runs farthest from meeting a criterion
+MARK_WIDTH = 0.012  # width of the mark at what chance reaches
 Criterion = Mapping[str, Any]
 
 
 def page(swept: Swept) -> str:
     """Return the self-contained HTML page of a sweep."""
-    table, _ = read_table(swept.folder / TABLE)
+    table, _ = read_table(swept.folder / SWEEP_TABLE)
     record, charts, study, values = swept.record, Charts(), swept.sweep, swept.criteria
     names, criteria = study.job.signals[:MOST_BANDS], record["criteria"]
     failed, completed = record["failed"], record["runs"] - record["failed"]
@@ -50,8 +49,8 @@ def page(swept: Swept) -> str:
     first = [s for s in indices if s.outcome in missed]
     others = [s for s in indices if s.outcome not in values]
     warnings = [*record["warnings"]]
-    if completed < MIN_RUNS:
-        warnings.append(f"Too few runs for sensitivities: {completed} completed, {MIN_RUNS} are needed.")
+    if completed < MIN_SENSITIVITY_RUNS:
+        warnings.append(f"Too few runs for sensitivities: {completed} completed, {MIN_SENSITIVITY_RUNS} are needed.")
     ways = {factor.way for factor in study.file.vary.values()}
     note = "" if ways.isdisjoint({"values", "grid"}) else "Every combination of listed values is run."
     if not ways.isdisjoint(DISTRIBUTIONS):
@@ -75,7 +74,7 @@ def page(swept: Swept) -> str:
         "scatters": scatters,
         "more_scatters": more_scatters,
         "factors": [_factor(swept, factor) for factor in study.factors],
-        "plots": _bands({name: signal_of(table, name, MOST_RUNS) for name in names}, record, charts),
+        "plots": _bands({name: signal_of(table, name, MAX_BAND_RUNS) for name in names}, record, charts),
         "always_met": [s.outcome for s in indices if s.outcome in values.keys() - missed],
         "unranked": sorted(missed - {s.outcome for s in first}) if first else [],
         "sensitivities": [_indices(s) for s in first or others],
@@ -129,7 +128,7 @@ def _worst(swept: Swept, table: Any) -> list[Mapping[str, Any]]:
     for k in failing[np.argsort(-far[failing], kind="stable")][:MOST_LISTED]:
         cells = {name: column[runs[k]] for name, column in swept.sweep.columns.items()}
         texts = (f"{name} = {f'{v:.4g}' if isinstance(v, float) else v}" for name, v in cells.items())
-        value = _figure(float(reached[k]), criterion["unit"]) if np.isfinite(reached[k]) else NEVER
+        value = _figure(float(reached[k]), criterion["unit"]) if np.isfinite(reached[k]) else "never"
         command = repeat_command(swept.sweep, runs[k])
         rows.append({"run": runs[k], "value": value, "factors": ", ".join(texts), "command": command})
     return rows
@@ -152,7 +151,7 @@ def _scatters(
     for c in sorted(criteria, key=lambda c: c["met"])[:MOST_SCATTERED]:
         values = swept.criteria[c["name"]]
         good = np.flatnonzero(np.isfinite(values))
-        good = good[:: max(1, -(-good.size // MOST_POINTS))]
+        good = good[:: max(1, -(-good.size // MAX_SCATTER_POINTS))]
         unit, factor = display(c["unit"])
         for place, name in enumerate(dict.fromkeys((*ranked.get(c["name"], ()), *factors))):
             if name not in factors or good.size < 2 or np.ptp(factors[name][0][runs[good]]) == 0.0:
@@ -183,7 +182,7 @@ def histograms(criteria: Sequence[Criterion], values: Mapping[str, Array], chart
         found, limit = values[c["name"]][np.isfinite(values[c["name"]])] * factor, c["max"] * factor
         if found.size < 2 or np.ptp(found) == 0.0:
             continue
-        counts, edges = np.histogram(found, min(MOST_BINS, np.histogram_bin_edges(found, "auto").size - 1))
+        counts, edges = np.histogram(found, min(MAX_HISTOGRAM_BINS, np.histogram_bin_edges(found, "auto").size - 1))
         trace = Trace("runs", np.array([0.0, *counts, 0.0]), "s0", held=True, x=np.array([edges[0], *edges]))
         panel = Panel(c["name"], "runs", [trace], limit_label="limit")
         plots.append(charts.alone(panel, _around([*edges, limit], 0.04), (c["name"], unit or "1"), uprights=[limit]))
@@ -203,7 +202,7 @@ def _parallel_coordinates(swept: Swept, table: Any) -> Mapping[str, Any] | None:
     if len(axes) < 2 or not criteria:
         return None
     is_met = np.all([np.array(table.column(f"{c['name']} met").to_pylist(), bool) for c in criteria], axis=0)
-    chosen = np.unique(np.linspace(0, runs.size - 1, min(runs.size, MOST_LINES)).astype(int))
+    chosen = np.unique(np.linspace(0, runs.size - 1, min(runs.size, MAX_PARALLEL_LINES)).astype(int))
     heads, heights = [], []
     for k, (name, (values, unit)) in enumerate(axes.items()):
         low, high = np.nanmin(values), np.nanmax(values)
@@ -248,8 +247,8 @@ def _indices(s: Sensitivity) -> Mapping[str, Any]:
 
     rows, ranks = [], {name: str(k) for k, name in enumerate(s.ranked, 1)}
     for k, name in enumerate(s.factors):
-        # without total indices, the chance level is marked
-        drawn, text = _bar(s.pawn[k], s.chance, s.chance + MARK), plain(s.pawn[k], 2)
+        # without total indices, a mark at what chance reaches
+        drawn, text = _bar(s.pawn[k], s.chance, s.chance + MARK_WIDTH), plain(s.pawn[k], 2)
         if s.total:
             size, half = s.total[k]
             drawn, text = _bar(size, size - half, size + half), pair(size, half)

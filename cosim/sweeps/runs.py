@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from cosim.blocks.component import GET
 from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.shared_code import SharedCode
 from cosim.core.arrays import Array
@@ -28,7 +29,7 @@ from cosim.files.results import Results
 from cosim.isolation import worker as here
 from cosim.isolation.limits import Limits
 from cosim.isolation.process import Worker
-from cosim.isolation.rows import GET, Rows
+from cosim.isolation.rows import Rows
 from cosim.isolation.watch import Watch
 from cosim.master.master import StoppedRun, simulate
 from cosim.master.own_process import in_own_processes
@@ -36,7 +37,7 @@ from cosim.scenario.scenario_file import ScenarioFile
 from cosim.simulation.criteria import evaluate
 from cosim.system.system import build_system
 
-MODULES = ("cosim.sweeps.runs", "fmpy.fmi2", "fmpy.logging")
+SWEEP_MODULES = ("cosim.sweeps.runs", "fmpy.fmi2", "fmpy.logging")
 CACHED_SYSTEMS = 16  # assembled systems cached per worker
 UNKEPT = 1  # runs of a system before its libraries stay loaded
 NO_MESSAGES: Mapping[str, Any] = {"first": (), "last": (), "omitted": 0}
@@ -109,7 +110,7 @@ def work_in(worker: Worker) -> None:
 def make_run_apart(job: Job, request: RunRequest) -> RunResult:
     """Execute a run in this thread's worker process, so that a crash or an exceeded limit fails only this run."""
     if not hasattr(_of_thread, "worker"):
-        work_in(Worker(*MODULES))
+        work_in(Worker(*SWEEP_MODULES))
     worker: Worker = _of_thread.worker
     own_copies = request.own_copies or _of_thread.own_copies
     try:

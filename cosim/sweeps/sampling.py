@@ -17,11 +17,11 @@ import numpy as np
 from cosim.core.arrays import Array, Rows
 from cosim.core.extras import optional
 
-MOST_RUNS = 1_000_000
+MAX_SWEEP_RUNS = 1_000_000
 Sampling = Literal["latin-hypercube", "sobol", "random", "saltelli"]
 QUANTILE_975 = 1.959963984540054  # quantile 0.975 of the normal distribution
 QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
-MIN_RUNS, MAX_RUNS = 50, 2000  # runs from which a sensitivity is estimated
+MIN_SENSITIVITY_RUNS, MAX_SENSITIVITY_RUNS = 50, 2000  # for estimating a sensitivity
 RESAMPLES = 50
 SLICES, SHUFFLES, CHANCE = 5, 199, 0.95  # of a factor; random orders of outcomes; share below chance
 SENSITIVITY_USE = "the sensitivity of a sweep"
@@ -182,7 +182,7 @@ def sensitivity(
     varied = {n: np.array(v, float) for n, v in factors.items() if are_numbers(v) and len(set(v)) > 1}
     good = np.isfinite(values)
     spread = np.ptp(values[good]) if good.any() else 0.0
-    if not varied or good.sum() < MIN_RUNS or spread <= 1e-12 * np.max(np.abs(values[good])):
+    if not varied or good.sum() < MIN_SENSITIVITY_RUNS or spread <= 1e-12 * np.max(np.abs(values[good])):
         return None
     names, X = list(varied), np.column_stack(list(varied.values()))
     problem = {"num_vars": len(names), "names": names, "bounds": [[c.min(), c.max()] for c in X.T]}
@@ -195,8 +195,8 @@ def sensitivity(
             first, total = (tuple((float(si[n][k]), float(si[f"{n}_conf"][k])) for k in order) for n in ("S1", "ST"))
             return Sensitivity(outcome, tuple(names[k] for k in order), first, total=total)
         rows = np.flatnonzero(good)
-        if rows.size > MAX_RUNS:
-            rows = np.sort(np.random.default_rng(seed).choice(rows, MAX_RUNS, replace=False))
+        if rows.size > MAX_SENSITIVITY_RUNS:
+            rows = np.sort(np.random.default_rng(seed).choice(rows, MAX_SENSITIVITY_RUNS, replace=False))
         values, X = values[rows], X[rows]
         rbd_fast = optional("SALib.analyze.rbd_fast", SENSITIVITY_USE)
         si = rbd_fast.analyze(problem, X, values, num_resamples=RESAMPLES, seed=seed)

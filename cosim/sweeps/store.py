@@ -30,17 +30,17 @@ if TYPE_CHECKING:
     import pyarrow
     from matplotlib.figure import Figure
 
-DATABASE, TABLE, RECORD = "runs.sqlite", "sweep.parquet", "sweep.json"
-GROUP = 4096  # runs per write
-STORED_EVERY = 0.2  # interval between two writes [s]
-FORMAT = 3  # version of the database format; a sweep with another version cannot be resumed
+DATABASE, SWEEP_TABLE, SWEEP_RECORD = "runs.sqlite", "sweep.parquet", "sweep.json"
+RUNS_PER_WRITE = 4096  # runs per write
+STORED_EVERY = 0.2  # [s]
+DATABASE_VERSION = 3  # of the database; one of another format is not continued
 
 
 class Database:
     """Database of finished runs, consistent even after a kill, which only loses runs of the last moment."""
 
     def __init__(self, path: Path, key: str) -> None:
-        self.path, key = path, f"{FORMAT} {key}"
+        self.path, key = path, f"{DATABASE_VERSION} {key}"
         try:
             self._base = sqlite3.connect(path)
             self._stored = time.monotonic()
@@ -141,7 +141,7 @@ def write_table(
 
     remaining = iter(runs)
     with draft_of(path) as draft, pq.ParquetWriter(draft, schema, compression="zstd") as writer:
-        while part := list(itertools.islice(remaining, GROUP)):
+        while part := list(itertools.islice(remaining, RUNS_PER_WRITE)):
             done = [m for m in part if m.status == "ok"]
             columns: dict[str, Any] = {name: [values[m.run] for m in part] for name, values in table.items()}
             columns |= {"run": [m.run for m in part], "status": [m.status for m in part]}
@@ -212,14 +212,14 @@ class Runs:
 
     @property
     def criteria(self) -> dict[str, Array]:
-        """Return criterion → values in the runs, NaN if undefined."""
-        table, _ = read_table(self.folder / TABLE)
+        """Return the values of each criterion in the runs, NaN without one."""
+        table, _ = read_table(self.folder / SWEEP_TABLE)
         names = [c["name"] for c in self.record["criteria"]]
         return {name: np.array(table.column(name).to_pylist(), float) for name in names}
 
     def signals(self, most: int) -> tuple[Array, dict[int, dict[str, Array]]]:
-        """Return the sampled times [s], and run number → signal → samples of at most `most` completed runs."""
-        table, about = read_table(self.folder / TABLE)
+        """Return the sampled times [s] of the runs, and number of a run → its signals, of `most` completed runs."""
+        table, about = read_table(self.folder / SWEEP_TABLE)
         completed = np.flatnonzero([status == "ok" for status in table.column("status").to_pylist()])
         spread = np.linspace(0, completed.size - 1, min(most, completed.size)).astype(int)
         rows = table.take(completed[spread]).to_pylist()
@@ -260,7 +260,7 @@ class Runs:
     def to_pandas(self) -> pandas.DataFrame:
         """Return one row per run: varied values, criteria, signals; raise ImportError without pandas."""
         pandas_for_frames()
-        frame: pandas.DataFrame = read_table(self.folder / TABLE)[0].to_pandas()
+        frame: pandas.DataFrame = read_table(self.folder / SWEEP_TABLE)[0].to_pandas()
         return frame
 
     def __repr__(self) -> str:
@@ -275,7 +275,7 @@ def hardest(record: Mapping[str, Any]) -> Mapping[str, Any]:
 
 
 def read_runs(folder: Path) -> Runs | None:
-    """Return the runs of a completed sweep in a folder; None if there are none."""
-    if not all((folder / name).is_file() for name in (RECORD, TABLE)):
+    """Return a completed sweep's runs in a folder."""
+    if not all((folder / name).is_file() for name in (SWEEP_RECORD, SWEEP_TABLE)):
         return None
-    return Runs(content_of(folder / RECORD), folder)
+    return Runs(content_of(folder / SWEEP_RECORD), folder)

@@ -12,7 +12,7 @@ from cosim.scenario.scenario import Variable, scalar
 Whole = Annotated[int, Field(strict=True, ge=0)]
 Count = Annotated[int, Field(strict=True, ge=1)]
 DISTRIBUTIONS = ("uniform", "log_uniform", "normal", "triangular")
-WAYS = ("values", "grid", *DISTRIBUTIONS, "count", "each")
+VARIATION_KEYS = ("values", "grid", *DISTRIBUTIONS, "count", "each")
 
 
 def _check_listed(value: Any) -> Any:
@@ -71,17 +71,17 @@ class Varied(Part):
 
     @model_validator(mode="after")
     def _one_way(self) -> Varied:
-        ways = [way for way in WAYS if getattr(self, way) is not None]
+        ways = [way for way in VARIATION_KEYS if getattr(self, way) is not None]
         if len(ways) != 1:
-            raise ValueError(f"it has {' and '.join(ways) or 'no variation'}; give one of {', '.join(WAYS)}")
+            raise ValueError(f"it has {' and '.join(ways) or 'no variation'}; give one of {', '.join(VARIATION_KEYS)}")
         if self.within is not None and self.normal is None:
             raise ValueError("within limits a normal distribution; give normal, or remove within")
         return self
 
     @property
     def way(self) -> str:
-        """Return the key that is set, such as `uniform`."""
-        return next(way for way in WAYS if getattr(self, way) is not None)
+        """Return the chosen way."""
+        return next(way for way in VARIATION_KEYS if getattr(self, way) is not None)
 
 
 class SweepFile(Part):

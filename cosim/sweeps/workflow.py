@@ -37,10 +37,9 @@ from cosim.sweeps.pool import MakeRuns, dask_cluster, make_runs_here
 from cosim.sweeps.reading import Sweep, Swept, read_sweep
 from cosim.sweeps.runs import RunResult, assemble, make_run, sampled_rows
 from cosim.sweeps.sampling import share_interval
-from cosim.sweeps.store import DATABASE, RECORD, TABLE, Database, read_table, write_table
+from cosim.sweeps.store import DATABASE, SWEEP_RECORD, SWEEP_TABLE, Database, read_table, write_table
 
-PARTS = "parts"  # folder for parts made by --part, such as parts/17-of-200
-REPORT = "report.html"
+PARTS_FOLDER = "parts"  # folder of the parts made by --part, as parts/17-of-200
 MAX_LISTED_FAILURES = 20
 Progress = Callable[[int, int], None]
 
@@ -118,16 +117,16 @@ def sweep(
         match = re.fullmatch(r"(\d{1,7})/(\d{1,7})", part.strip())
         k, of = map(int, match.groups()) if match else (0, 0)
         if not 1 <= k <= of:
-            raise InputError.at(Path("--part"), f"{part!r} is not K/N with K from 1 to N; give for example 17/200")
-        runs, home = runs[k - 1 :: of], folder / PARTS / f"{k}-of-{of}"
+            raise InputError.at(Path("--part"), f"{part!r} is no part; give K/N with K from 1 to N, such as 17/200")
+        runs, home = runs[k - 1 :: of], folder / PARTS_FOLDER / f"{k}-of-{of}"
     inputs = [study.yaml.path, study.job.scenario, *study.files]
     check_installed("SALib", "cosim sweep")  # imported for the report only
     goes_on = resume or join or part is not None
     with ExitStack() as stack:
         home = stack.enter_context(new_run(home, study.name, "cosim sweep", force=force or goes_on))
-        check_writable(home, (TABLE, RECORD, REPORT, DATABASE), inputs)
+        check_writable(home, (SWEEP_TABLE, SWEEP_RECORD, "report.html", DATABASE), inputs)
         folder = home if part is None or folder is None else folder
-        stored = [*folder.glob(DATABASE), *sorted(folder.glob(f"{PARTS}/*/{DATABASE}"))]
+        stored = [*folder.glob(DATABASE), *sorted(folder.glob(f"{PARTS_FOLDER}/*/{DATABASE}"))]
         if not goes_on:
             remove_earlier(folder, read=inputs)
             for file in stored:
@@ -194,8 +193,8 @@ def sweep(
                 return Swept(record, home, study, made)
             names, signals = [limit.name for limit in limits], study.job.signals
             about = {"key": study.key, "times": record["times"], "units": record["units"], "signals": signals}
-            write_table(folder / TABLE, _all_runs(databases), study.columns, names, signals, about)
-            write_json(folder / RECORD, record, indent=1, allow_nan=False)
+            write_table(folder / SWEEP_TABLE, _all_runs(databases), study.columns, names, signals, about)
+            write_json(folder / SWEEP_RECORD, record, indent=1, allow_nan=False)
             for database in databases:
                 database.remove()
         swept = Swept(record, folder, study, made)
@@ -203,7 +202,7 @@ def sweep(
             from cosim.sweeps.report import page
 
             with showing(record):
-                write_text(folder / REPORT, page(swept))
+                write_text(folder / "report.html", page(swept))
     if record["failed"] == record["runs"]:
         first = record["failures"][0]
         raise SweepFailed(f"all {counted(study.count, 'run')} failed; run {first['run']}: {first['why']}")
@@ -211,16 +210,16 @@ def sweep(
 
 
 def _read_completed(folder: Path, key: str) -> dict[str, Any] | None:
-    """Return the record in a folder if it is of the same sweep and complete; raise InputError for another sweep."""
-    if not (folder / TABLE).is_file() or not (record := content_of(folder / RECORD)):
+    """Return the record of the same sweep if it is complete in this folder; raise InputError for a different sweep."""
+    if not (folder / SWEEP_TABLE).is_file() or not (record := content_of(folder / SWEEP_RECORD)):
         return None
     try:
-        _, about = read_table(folder / TABLE)
+        _, about = read_table(folder / SWEEP_TABLE)
     except (OSError, ValueError):
         return None
     if about.get("key") != key:
         cure = "give another folder as --out, or use --force to start again"
-        raise InputError.at(folder / TABLE, f"is of another sweep, or of other FMUs; {cure}")
+        raise InputError.at(folder / SWEEP_TABLE, f"is of another sweep, or of other FMUs; {cure}")
     return record
 
 

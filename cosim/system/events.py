@@ -17,7 +17,7 @@ from cosim.core.text import did_you_mean
 from cosim.core.times import first_point
 from cosim.core.units import read_quantity
 from cosim.fmi.description import Way, enumeration_items, takes_any_step, unit_of, ways
-from cosim.fmi.fmi_types import input_aliases
+from cosim.fmi.fmi_types import FLOAT_TYPES, input_aliases
 from cosim.fmi.model_description import sampled_by
 from cosim.scenario.scenario import FmuComponent
 from cosim.scenario.start_values import bounds_of, convert_value
@@ -25,7 +25,6 @@ from cosim.system.schedule import Loop, Schedule, Stage
 from cosim.system.wiring import Building
 
 Events = Mapping[int, Mapping[str, Mapping[str, Any]]]  # communication point → component → variable → value
-REALS = ("Real", "Float64", "Float32")
 
 
 def event_block(building: Building, name: str, component: FmuComponent, path: Path) -> Callable[..., FmuBlock] | None:
@@ -82,7 +81,7 @@ def event_block(building: Building, name: str, component: FmuComponent, path: Pa
         elif (source_path := building.file.resolve(fmu.fmu)).is_file():
             names = output, output.partition("[")[0]
             ends = [v for v in building.describe(source_path).modelVariables if v.name in names]
-            if any(v.variability not in (None, "continuous") or v.type not in REALS for v in ends):
+            if any(v.variability not in (None, "continuous") or v.type not in FLOAT_TYPES for v in ends):
                 jumping.add(variable)
     kind = ScheduledFmu if way == "scheduled-execution" else EventFmu
     return partial(kind, timings=timings, jumping=frozenset(jumping))

@@ -35,9 +35,9 @@ from cosim.system.recording import RecordedPart, recorded_part
 from cosim.system.schedule import Schedule, Stage, schedule
 from cosim.system.wiring import Building, Transfer, alias_transfers, connect, connection_warnings
 
-ROUNDING = 1e-6  # tolerance, as a share of a step, when the step is compared with that of an FMU with sample times
+SAMPLE_STEP_TOLERANCE = 1e-6  # tolerance of the step of sampled FMUs, as a fraction of a step
 MOST_RESULTS = 8e9  # size of results [bytes]
-BYTES = 8  # size of a number [bytes]
+BYTES_PER_NUMBER = 8  # size of a number [bytes]
 
 
 @dataclass(frozen=True)
@@ -159,7 +159,7 @@ def build_system(file: ScenarioFile) -> System:
     of_aliases = alias_transfers(building, transfers)
     signals = sum(len(c.inputs) + len(c.outputs) for c in components.values())
     rows = scenario.duration / scenario.step + 1.0
-    if (size := rows * signals * BYTES) > MOST_RESULTS:
+    if (size := rows * signals * BYTES_PER_NUMBER) > MOST_RESULTS:
         message = (
             f"would write {rows:.3g} rows of {signals} signals, {size / 1e9:.3g} GB, more than {MOST_RESULTS / 1e9:g} "
             "GB; use a shorter duration or longer steps"
@@ -248,7 +248,7 @@ def _check_sampling(building: Building) -> None:
             continue
         own_step = getattr(scenario.components[name], "step", None)
         step = scenario.step if own_step is None else float(own_step)
-        if abs(step - sample) > ROUNDING * sample:
+        if abs(step - sample) > SAMPLE_STEP_TOLERANCE * sample:
             where = ("step",) if own_step is None else ("components", name, "step")
             building.note(
                 where,

@@ -32,9 +32,9 @@ from cosim.scenario.scenario import (
 from cosim.scenario.scenario_file import Place, ScenarioFile
 
 Components = Mapping[str, Component]
-MOST_NAMED = 20  # signals shown in a message
-LONGEST = 2000  # characters of a message
-PASSING = {"freeze", "dropout", "delay"}  # faults that do not change the type of a value
+MAX_NAMED_SIGNALS = 20  # signals shown in a message
+MAX_MESSAGE_CHARACTERS = 2000
+PASSING = {"freeze", "dropout", "delay"}  # faults that pass values of any type unchanged
 
 
 @dataclass(frozen=True)
@@ -74,9 +74,9 @@ class Building:
         self.warnings: list[str] = list(file.warnings)
 
     def note(self, where: Place, message: str, exit_code: int = 2) -> None:
-        """Record a fault at a place of the scenario; raise InputError when there are too many."""
-        if len(message) > LONGEST:
-            message = f"{message[: LONGEST - 1]}…"
+        """Record a fault at a place of the scenario; raise InputError at the limit of faults."""
+        if len(message) > MAX_MESSAGE_CHARACTERS:
+            message = f"{message[: MAX_MESSAGE_CHARACTERS - 1]}…"
         self.faults.append(self.file.fault(where, message, exit_code=exit_code))
         if len(self.faults) >= MOST_FAULTS:
             raise InputError([*self.faults, Fault(self.file.path, 0, 0, f"the first {MOST_FAULTS} faults are shown")])
@@ -337,8 +337,8 @@ def _numbers(items: Mapping[str, int] | None) -> str:
 
 
 def _some(names: Collection[str]) -> str:
-    more = f" and {len(names) - MOST_NAMED} more" if len(names) > MOST_NAMED else ""
-    return f"{', '.join(islice(names, MOST_NAMED)) or 'none'}{more}"
+    more = f" and {len(names) - MAX_NAMED_SIGNALS} more" if len(names) > MAX_NAMED_SIGNALS else ""
+    return f"{', '.join(islice(names, MAX_NAMED_SIGNALS)) or 'none'}{more}"
 
 
 def _signals(component: Component, side: str) -> tuple[Signal, ...]:

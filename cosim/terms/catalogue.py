@@ -15,7 +15,7 @@ from cosim.terms.language import Force, InputTerm, Place, RateTerm, RememberingT
 
 BEGUN = Quantity("begun", "1", "whether the memory is initialized")
 SOFTNESS = scaled("v", default=0.02, typical=0.01, low=1e-4, high=0.2, doc="velocity ε of the transition")
-SHORTEST = 1e-3  # minimum time constant of a lag, as a share of a substep; a smaller one is ignored
+MIN_LAG_SHARE = 1e-3  # minimum time constant of a lag, as a share of a substep; a smaller one is ignored
 
 # -- at an input -----------------------------------------------------------------------------------
 
@@ -106,8 +106,8 @@ class InputLag(RememberingTerm):
     time: float = scaled_size("T", typical=3.0, low=0.0, high=1000.0, doc="time constant T")
 
     def advance(self, m: Namespace, h: Number, value: Number, memory: Values) -> tuple[Number, Values]:
-        """Return the changed input's mean over the substep and its final value; exact for a constant input."""
-        acts, slow = self.time > SHORTEST * h, m.maximum(self.time, SHORTEST * h)
+        """Return the mean over the substep, and the value at its end; exact for a constant input."""
+        acts, slow = self.time > MIN_LAG_SHARE * h, m.maximum(self.time, MIN_LAG_SHARE * h)
         share, before = m.exp(-h / slow), memory[0]
         end = value + (before - value) * share
         mean = value + (before - value) * (1.0 - share) * slow / h
@@ -130,9 +130,9 @@ class SecondOrderLag(RememberingTerm):
     damping: float = scaled("1", default=0.7, typical=0.3, low=0.05, high=3.0, doc="damping ratio ζ")
 
     def advance(self, m: Namespace, h: Number, value: Number, memory: Values) -> tuple[Number, Values]:
-        """Return the changed input's mean over the substep and both final values; exact for a constant input."""
-        acts, time = self.time > SHORTEST * h, m.maximum(self.time, SHORTEST * h)
-        position, speed = memory[0] - value, memory[1] - memory[0]  # deviation from the input
+        """Return the mean over the substep, and both values at its end; exact for a constant input."""
+        acts, time = self.time > MIN_LAG_SHARE * h, m.maximum(self.time, MIN_LAG_SHARE * h)
+        position, speed = memory[0] - value, memory[1] - memory[0]  # of the deviation, in units of the input
         damping, r, least = self.damping, h / time, 1e-6
         square = 1.0 - damping * damping  # w is imaginary if the damping exceeds 1
         w, v = m.sqrt(m.maximum(square, least)), m.sqrt(m.maximum(-square, least))
@@ -325,7 +325,7 @@ def sensor_errors(
 # Groups of terms whose effects are similar in many logs, and an experiment that distinguishes the terms of each group.
 
 
-ALIKE: tuple[tuple[frozenset[str], str], ...] = (
+SIMILAR_TERMS: tuple[tuple[frozenset[str], str], ...] = (
     (
         frozenset({"delay", "lag", "second_order_lag", "rate_limit", "latency"}),
         "steps of each input in several sizes, with five times as many rows: a delay responds late, a lag at once, "
@@ -380,5 +380,5 @@ def experiments_for(names: Iterable[str]) -> dict[frozenset[str], str]:
         names: Names of all terms and sensor errors, `kind_at_place`.
     """
     every = [*names]
-    rows = ((frozenset(n for n in every if n.partition("_at_")[0] in kinds), text) for kinds, text in ALIKE)
+    rows = ((frozenset(n for n in every if n.partition("_at_")[0] in kinds), text) for kinds, text in SIMILAR_TERMS)
     return {row: text for row, text in rows if len(row) > 1}

@@ -15,7 +15,7 @@ from cosim.model.namespaces import Namespace
 from cosim.model.quantities import Parameter, parameter, parameters_of
 
 ABSOLUTE = "absolute"  # key of a field's metadata
-FACTOR = re.compile(r"(?P<symbol>[A-Za-z]+|1)(\^(?P<power>\d+))?")
+UNIT_FACTOR = re.compile(r"(?P<symbol>[A-Za-z]+|1)(\^(?P<power>\d+))?")
 
 
 @dataclass(frozen=True)
@@ -261,7 +261,7 @@ def _factors(expression: str) -> list[tuple[str, int]]:
         if part in ("/", "."):
             sign = -1 if part == "/" else 1
             continue
-        match = FACTOR.fullmatch(part)
+        match = UNIT_FACTOR.fullmatch(part)
         if match is None:
             raise ValueError(f"not a product of symbols: {expression!r}")
         factors.append((match["symbol"], sign * int(match["power"] or 1)))

@@ -9,8 +9,7 @@ import warnings
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
-from cosim.core.registry import VERBS as ADDED
-from cosim.core.registry import ExtensionWarning, Verb, names, registered
+from cosim.core.registry import VERBS_GROUP, ExtensionWarning, Verb, names, registered
 
 if TYPE_CHECKING:  # signatures of the functions, for type checkers
     from cosim.authoring.export import export_ssp as export_ssp
@@ -73,9 +72,9 @@ def verbs(only: str = "") -> Iterator[tuple[str, Verb]]:
     A package that redefines a verb of cosim causes a warning.
     """
     yield from [(only, VERBS[only])] if only in VERBS else VERBS.items()
-    for name in names(ADDED):
+    for name in names(VERBS_GROUP):
         if name in VERBS:
             text = f"{name}: an installed package redefines this verb of cosim; its version is ignored"
             warnings.warn(text, ExtensionWarning, stacklevel=2)
     if only not in VERBS:
-        yield from ((name, verb) for name, verb in registered(ADDED, Verb) if name not in VERBS)
+        yield from ((name, verb) for name, verb in registered(VERBS_GROUP, Verb) if name not in VERBS)

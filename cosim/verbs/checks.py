@@ -30,14 +30,14 @@ if TYPE_CHECKING:
     from cosim.simulation.report.system_diagram import Graph
 
 
-LIBRARIES = ("fmpy", "numpy", "scipy", "control", "pyarrow", "sympy", "pythonfmu")  # libraries whose versions are shown
+VERSIONED_LIBRARIES = ("fmpy", "numpy", "scipy", "control", "pyarrow", "sympy", "pythonfmu")
 CHECKED_KINDS = "a scenario, study, sweep, protocol, model, log, SSP or FMU"
-MOST_LINES = 200  # number of lines printed without --json
-SECTIONS = {"inputs": ("input",), "outputs": ("output",), "parameters": ("parameter", "structuralParameter")}
+MAX_PRINTED_LINES = 200  # number of lines printed without --json
+CAUSALITIES = {"inputs": ("input",), "outputs": ("output",), "parameters": ("parameter", "structuralParameter")}
 EXPERIMENT_UNITS = {"start": " s", "stop": " s", "step": " s", "tolerance": ""}  # of a default experiment
-PLACES = ("pairs", "connections", "dampings", "storages", "sensors", "inputs", "parameters")
-MAX_NAMES = 8  # states, and items of an enumeration
-MAX_PARAMETERS = 60  # parameters in the table; --all shows every one
+STRUCTURE_TITLES = ("pairs", "connections", "dampings", "storages", "sensors", "inputs", "parameters")
+MAX_LISTED_ITEMS = 8  # states, and items of an enumeration
+MAX_LISTED_PARAMETERS = 60  # parameters in the table; --all shows every one
 DIAGRAM_HEAD = 4096  # characters of a file that show whether it is a diagram
 MERMAID = "flowchart LR\n  n1["
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
@@ -81,7 +81,7 @@ def check(
     from cosim.files.kinds import kind_by_form
     from cosim.isolation.process import Worker
     from cosim.logs.log import read_column_names
-    from cosim.master.remote import MODULES
+    from cosim.master.remote import RUN_MODULES
 
     faults: list[Fault] = []
     lines: list[str] = []
@@ -92,7 +92,7 @@ def check(
         if permission.get() and not load:
             text = "needs to load FMUs, but --no-load (in Python load=False) forbids it; remove one of them"
             raise InputError.at(Path("--compile"), text)
-        with Worker(*MODULES) if load else nullcontext() as worker:
+        with Worker(*RUN_MODULES) if load else nullcontext() as worker:
             checking = Checking(model, names, worker)
             for path in paths:
                 try:
@@ -162,9 +162,9 @@ def check_command(*, json: bool = False, **given: Any) -> None:
     Example: cosim check scenario.yaml build/*.fmu
     """
     files, lines = given["files"], check(**given)
-    say(*lines[:MOST_LINES])
-    if len(lines) > MOST_LINES:
-        say(f"… and {len(lines) - MOST_LINES} more; --json lists all of them")
+    say(*lines[:MAX_PRINTED_LINES])
+    if len(lines) > MAX_PRINTED_LINES:
+        say(f"… and {len(lines) - MAX_PRINTED_LINES} more; --json lists all of them")
     say(f"no faults in {', '.join(map(str, files))}")
     if json:
         say_json({"files": [str(file) for file in files], "findings": lines, "faults": []})
@@ -242,7 +242,7 @@ def _places(places: Mapping[str, Any]) -> list[str]:
         return f"{value:.6g}" if isinstance(value, float) else str("" if value is None else value)
 
     lines = [f"way: {places['way']}: {places['reason']}"]
-    for title in PLACES:
+    for title in STRUCTURE_TITLES:
         rows = [
             [f"  {cell(value)}" if not k else cell(value) for k, value in enumerate(row.values())]
             for row in places[title]
@@ -270,20 +270,20 @@ def _overview(s: Summary) -> list[str]:
         f"  default experiment: {', '.join(experiment) or 'none'}",
         f"  platforms: {', '.join(s.platforms) or 'none'}{here}",
         *capabilities,
-        f"  states: {s.state_count}" + (f" ({some(s.states, MAX_NAMES)})" if s.states else ""),
+        f"  states: {s.state_count}" + (f" ({some(s.states, MAX_LISTED_ITEMS)})" if s.states else ""),
         *(f"  warning: {slip}" for slip in s.slips[:5]),
     ]
 
 
 def _variables(s: Summary, *, every: bool) -> list[str]:
     """Return the tables of variables; unless all are shown, local variables are only counted."""
-    groups = {title: s.of(*causalities) for title, causalities in SECTIONS.items()}
-    others = [v for v in s.variables if v.causality not in {"independent"}.union(*SECTIONS.values())]
+    groups = {title: s.of(*causalities) for title, causalities in CAUSALITIES.items()}
+    others = [v for v in s.variables if v.causality not in {"independent"}.union(*CAUSALITIES.values())]
     if every and others:
         groups["others"] = others
     lines = []
     for title, variables in groups.items():
-        listed = variables if every or title != "parameters" else variables[:MAX_PARAMETERS]
+        listed = variables if every or title != "parameters" else variables[:MAX_LISTED_PARAMETERS]
         header = ("  name", "type", "unit", "start", "range", "description")
         lines += (
             [f"{title}: {len(variables)}", *table(header, [*map(_row, listed)])] if variables else [f"{title}: none"]
@@ -300,7 +300,7 @@ def _row(v: Variable) -> tuple[str, ...]:
     start = f"{v.start} ({item})" if item else (v.start or "")[:30]
     limits = "" if v.min is None and v.max is None else f"{v.min or '-∞'} … {v.max or '∞'}"
     if v.items:
-        limits = some([f"{number} {name}" for name, number in v.items.items()], MAX_NAMES)
+        limits = some([f"{number} {name}" for name, number in v.items.items()], MAX_LISTED_ITEMS)
     name = f"  {v.name}{list(v.dimensions) if v.dimensions else ''}"
     return name, v.type, v.unit, start, limits, v.description[:80]
 
@@ -399,7 +399,7 @@ def linearize_command(*, open: bool = False, json: bool = False, **given: Any) -
     Example: cosim linearize motor.fmu --at speed=100
     """
     from cosim.linearization.workflow import linearize
-    from cosim.linearization.write import HEAD, content, headline, matrix_lines, pole_rows
+    from cosim.linearization.write import POLE_COLUMNS, content, headline, matrix_lines, pole_rows
 
     for key in ("states", "inputs", "outputs", "residualize"):
         given[key] = [name.strip() for text in given[key] for name in text.split(",") if name.strip()]
@@ -411,7 +411,7 @@ def linearize_command(*, open: bool = False, json: bool = False, **given: Any) -
         say_json(content(outcome))
     m, page = outcome.first, given["out"] / "report.html"
     say(headline(outcome.structure, m))
-    say(*table(HEAD, [tuple(row.values()) for row in pole_rows(outcome.structure)]))
+    say(*table(POLE_COLUMNS, [tuple(row.values()) for row in pole_rows(outcome.structure)]))
     for name in "ABCD":
         header, *cells = matrix_lines(name, *m.matrix(name)) or [[name]]
         say(*table(header, cells) if cells else [])
@@ -442,7 +442,7 @@ def doctor_command(fmus: list[ModelName] | None = None, *, json: bool = False) -
     from cosim.fmi.native.compiler import compiler, cure, this_platform
 
     versions = {"cosim": __version__, "Python": platform.python_version()}
-    for name in LIBRARIES:
+    for name in VERSIONED_LIBRARIES:
         with suppress(PackageNotFoundError):
             versions[name] = version(name)
     here, command = this_platform(), compiler()

@@ -58,13 +58,13 @@ class Output:
 
 
 OUTPUT = Output()  # of this process, set by the options of any command
-COLOURS = {"good": "green", "warn": "yellow", "bad": "red"}
-LAST: list[Callable[[], None]] = []  # functions called when everything about the command has been printed
+TONE_COLOURS = {"good": "green", "warn": "yellow", "bad": "red"}
+AT_THE_END: list[Callable[[], None]] = []  # functions called when everything about the command has been printed
 
 
 def echo(text: str, *, err: bool = False, tone: str = "") -> None:
     """Write a line without control characters, in the colour of its tone, unless the stream is closed."""
-    colour = None if os.environ.get("NO_COLOR") else COLOURS.get(tone)
+    colour = None if os.environ.get("NO_COLOR") else TONE_COLOURS.get(tone)
     try:
         typer.secho(printable(text), err=err, fg=colour)
     except BrokenPipeError:
@@ -170,7 +170,7 @@ def show_page(page: Any, kind: str, title: str, *limits: float, opens: bool = Tr
     """Open a served page in the browser; it is served until the user closes it."""
     from cosim.pages.server import open_page
 
-    LAST.append(lambda: page.wait_for_close(warn, *limits))
+    AT_THE_END.append(lambda: page.wait_for_close(warn, *limits))
     note = Note(f"{kind}: {page.url}")
     warn(note) if opens and open_page(page.url, title) else echo(note, err=True)
 
@@ -262,7 +262,7 @@ def _show_version(value: bool) -> None:
         raise typer.Exit
 
 
-VERSION = typer.Option("--version", callback=_show_version, is_eager=True, help="Show the version and exit.")
+VERSION_OPTION = typer.Option("--version", callback=_show_version, is_eager=True, help="Show the version and exit.")
 
 
 @functools.cache
@@ -275,7 +275,7 @@ def command_line(chosen: str = "") -> typer.Typer:
     line = typer.Typer(context_settings=keys, no_args_is_help=True, pretty_exceptions_enable=False)
 
     @line.callback()
-    def main(version: Annotated[bool, VERSION] = False) -> None:
+    def main(version: Annotated[bool, VERSION_OPTION] = False) -> None:
         """Simulate coupled FMUs, compare them with measured logs, and find missing effects of a model."""
 
     for name, verb in () if chosen == "--version" else verbs(chosen):
@@ -305,7 +305,7 @@ def entry() -> None:
         text = str(error) or "not enough memory; use a shorter duration, longer steps, or record fewer signals"
         code = say_error(CosimError(text), SimulationError.exit_code)
         if isinstance(error, Terminated):
-            LAST.clear()  # no page is served after the end that was asked for
+            AT_THE_END.clear()  # no page is served after the end that was asked for
     except OSError as error:  # an unwritable folder, or a full disk
         text = "the disk is full" if is_full(error) else error.strerror or str(error)
         text = f"{error.filename}: {text}" if error.filename else text
@@ -323,6 +323,6 @@ def entry() -> None:
         code = 2
     finally:
         with suppress(KeyboardInterrupt, Terminated):
-            while LAST:
-                LAST.pop()()
+            while AT_THE_END:
+                AT_THE_END.pop()()
     sys.exit(code)

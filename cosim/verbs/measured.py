@@ -41,7 +41,7 @@ def replay_command(*, open: bool = False, json: bool = False, **given: Any) -> N
     from cosim.files.folders import replay_record
     from cosim.files.results import rows_in
     from cosim.residuals.compare import as_json, horizon_name, sentence, verdict, worst_first
-    from cosim.residuals.report import TONES
+    from cosim.residuals.report import ANSWER_TONES
     from cosim.residuals.workflow import NEXT_STUDY, replay
 
     with progress_bar("replaying") as progress:
@@ -57,7 +57,7 @@ def replay_command(*, open: bool = False, json: bool = False, **given: Any) -> N
         for c in worst_first(comparison.channels):  # the error of each, beside the noise of its sensor
             error = size(c.scores[c.measure].rmse, c.unit)
             rows.append((c.name, error, horizon_name(c.measure), size(c.noise, c.unit), plain(c.excess, 2)))
-    say(f"verdict: {answer}", tone=TONES[answer])
+    say(f"verdict: {answer}", tone=ANSWER_TONES[answer])
     say(text, *filter(None, [validity_sentence("FMU", replayed.validity)]))
     say(*table(("channel", "error (rms)", "over", "noise σ", "error / noise floor"), rows))
     if (study := place / NEXT_STUDY).is_file():

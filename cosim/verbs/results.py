@@ -18,7 +18,7 @@ from cosim.core.settings import Count, NotNegative, Port, Whole
 from cosim.core.text import counted, some
 from cosim.files.artefact import artefacts
 from cosim.files.files import FilePath, check_writable
-from cosim.files.folders import RESULTS, newest_run, warnings_on
+from cosim.files.folders import RESULTS_FOLDER, newest_run, warnings_on
 from cosim.verbs.cli import progress_bar, say, say_json, show, show_page, table, warn
 
 if TYPE_CHECKING:
@@ -31,8 +31,8 @@ if TYPE_CHECKING:
     from cosim.sweeps.store import Runs
 
 
-MAX_SIGNALS = 12  # number of signals on the terminal
-WIDEST = 60  # characters of an outcome, of values and of changes in a table
+MAX_TERMINAL_SIGNALS = 12  # number of signals on the terminal
+MAX_CELL_WIDTH = 60  # characters of an outcome, of values and of changes in a table
 SORTED: Mapping[str, Callable[[Any], Any]] = {  # key of --sort → order of entries
     "when": lambda e: e.time,
     "command": lambda e: e.verb,
@@ -154,22 +154,22 @@ def _comparison_lines(c: ComparedRuns) -> list[str]:
 
     lines = [c.summary]
     lines += [f"  {label}{'  (baseline)' if k == c.baseline else ''}" for k, label in enumerate(c.labels)]
-    inputs = [(f"  {i.name}", *(input_text(i.values[k]) for k in c.drawn)) for i in c.inputs[:MAX_SIGNALS]]
+    inputs = [(f"  {i.name}", *(input_text(i.values[k]) for k in c.drawn)) for i in c.inputs[:MAX_TERMINAL_SIGNALS]]
     lines += table(("  input", *(c.shorts[k] for k in c.drawn)), inputs) if inputs else []
     others = [k for k in c.drawn if k != c.baseline]
     rows = []
     differing = c.differing
-    for name, cells in list(differing.items())[:MAX_SIGNALS]:
+    for name, cells in list(differing.items())[:MAX_TERMINAL_SIGNALS]:
         found = [cells[k] for k in others]
         texts = ["" if d is None else f"{format_size(d, d.largest)}, {format_share(d)}, {d.at:.6g} s" for d in found]
         notes = dict.fromkeys(d.note for d in found if d is not None and d.note)
         rows.append((f"  {name}", *texts, ", ".join(notes)))
     lines += table(("  largest difference", *(c.shorts[k] for k in others), ""), rows) if rows else []
-    if len(differing) > MAX_SIGNALS:
-        lines.append(f"  … and {len(differing) - MAX_SIGNALS} more that differ")
+    if len(differing) > MAX_TERMINAL_SIGNALS:
+        lines.append(f"  … and {len(differing) - MAX_TERMINAL_SIGNALS} more that differ")
     for k, pair in c.by_run.items():
         for where, only in ((c.shorts[c.baseline], pair.only_a), (c.shorts[k], pair.only_b)):
-            lines += [f"  only in {where}: {some(only, MAX_SIGNALS)}"] if only else []
+            lines += [f"  only in {where}: {some(only, MAX_TERMINAL_SIGNALS)}"] if only else []
     return lines
 
 
@@ -221,7 +221,7 @@ def list_command(
     from cosim.core.text import did_you_mean
     from cosim.files.run_entries import find_entries
 
-    root = results or RESULTS
+    root = results or RESULTS_FOLDER
     listed = find_entries(names, root)
     titles = {title for entry in listed for title in entry.merits}
     if sort in titles:
@@ -257,7 +257,9 @@ def list_command(
     rows = []
     for e, when in found:
         merits = ", ".join(f"{title} {text}" for title, (_, text) in e.merits.items())
-        texts = (t if len(t) <= WIDEST else f"{t[: WIDEST - 1]}…" for t in (e.outcome, merits, e.changed))
+        texts = (
+            t if len(t) <= MAX_CELL_WIDTH else f"{t[: MAX_CELL_WIDTH - 1]}…" for t in (e.outcome, merits, e.changed)
+        )
         rows.append((str(e.number), f"{when:%Y-%m-%d %H:%M}", e.verb, e.name, *texts, e.version))
     heads = ("no.", "when", "command", "name", "outcome", "values", "changed", "of cosim")
     head, *lines = table(heads, rows) if rows else [f"no results in {root}"]
@@ -280,7 +282,7 @@ def open_command(
     from cosim.files.folders import state_of
     from cosim.files.run_entries import Selected, entries, select_groups
 
-    root = results or RESULTS
+    root = results or RESULTS_FOLDER
     found = [Selected(e.folder, e) for e in entries(root)[-1:]] if run is None else select_groups([run], root)[0]
     if len(found) != 1:
         names = some([f"{s.entry.number} {s.entry.name}" for s in found if s.entry is not None], NAMED_RUNS)
@@ -328,7 +330,7 @@ def view_command(
     from cosim.pages.runs import find_runs, open_runs
     from cosim.pages.view_page import view_page
 
-    root = results or RESULTS
+    root = results or RESULTS_FOLDER
     layouts = Layouts(layout or root / LAYOUTS)
     named = read_column_names(columns or (), Path((runs or ["--column"])[0]))
     places, notes = find_runs(runs or (), root, named)
@@ -374,7 +376,7 @@ def gc_command(
     """
     from cosim.files.run_entries import Removal, entries, find_entries, plan_removal, remove
 
-    root = results or RESULTS
+    root = results or RESULTS_FOLDER
     chosen = find_entries(names, root)
     plan = plan_removal(entries(root), keep=keep, older=older, chosen=chosen)
     warn(*(text for entry in chosen for text in entry.warnings))

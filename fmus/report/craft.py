@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from controller.settings import Settings
+from controller.settings import SIDES, Settings
 from cosim.core.arrays import Array, Rows
 from cosim.core.units import DEGREES, read_quantity
 from cosim.report.charts import Charts, round_values
@@ -25,10 +25,9 @@ from cosim.simulation import criteria
 from cosim.simulation.report.recorded import Run, number
 from plant.hovercraft import Hovercraft
 
-SIDES = ("right", "left")
-COLOURS = {"right": "warm", "left": "cool"}
-BAND = 0.02  # m and rad: 2 % of the unit steps in the thesis
-MERGE = 0.1  # s; changes of a reference closer than this are one ramp
+SIDE_COLOURS = {"right": "warm", "left": "cool"}
+SETTLING_BAND = 0.02  # m and rad: 2 % of the unit steps in the thesis
+MERGED_RAMP_S = 0.1  # s; changes of a reference closer than this are one ramp
 TILT_MAX = Settings().tilt_max  # [rad], default of the controller FMUs
 
 
@@ -137,10 +136,10 @@ class Response(NamedTuple):
 def reference_steps(time: Array, reference: Array) -> list[tuple[int, int, int]]:
     """Return the rows of begin, arrival and end of each change of a reference.
 
-    Row 0 counts as a change. Changes within MERGE form one ramp; a change ends at the next one.
+    Row 0 counts as a change. Changes within MERGED_RAMP_S form one ramp; a change ends at the next one.
     """
     rows = np.flatnonzero(np.abs(np.diff(reference)) > 1e-12) + 1
-    apart = (np.diff(rows) > 1) & (np.diff(time[rows]) > MERGE)
+    apart = (np.diff(rows) > 1) & (np.diff(time[rows]) > MERGED_RAMP_S)
     ramps = [ramp.tolist() for ramp in np.split(rows, np.flatnonzero(apart) + 1) if ramp.size]
     begins = [0, *(ramp[0] for ramp in ramps)]
     return list(zip(begins, [0, *(ramp[-1] for ramp in ramps)], [*begins[1:], reference.size], strict=True))
@@ -154,14 +153,16 @@ def responses(craft: Craft, variable: str) -> list[Response]:
     time, estimate = craft.run.time[good], craft.estimate(f"{variable}_hat")[good]
     steps = reference_steps(time, target)
     # A start on target is a response only if the reference never changes.
-    if len(steps) > 1 and abs(signal[0] - target[0]) <= BAND:
+    if len(steps) > 1 and abs(signal[0] - target[0]) <= SETTLING_BAND:
         steps = steps[1:]
     found = []
     for begin, arrived, end in steps:
         final, after = float(target[end - 1]), slice(arrived, end)
         moving = end - arrived < 2  # an unfinished ramp, or a change in the last row
         settling, believed = (
-            criteria.settling_time(time[after], line[after], final, BAND) if is_drawn(line) and not moving else math.nan
+            criteria.settling_time(time[after], line[after], final, SETTLING_BAND)
+            if is_drawn(line) and not moving
+            else math.nan
             for line in (signal, estimate)
         )
         whole, wanted = signal[begin:end], target[begin:end]
@@ -212,9 +213,9 @@ def inside_band(craft: Craft, variable: str) -> float:
     return float(np.mean(np.abs(estimate - true) <= 2 * sigma + 1e-9)) if good.any() else math.nan
 
 
-CRAFT = Hovercraft()
-ARM, RADIUS = CRAFT.arm, CRAFT.propeller_radius  # [m], defaults of the start values
-MARGIN = 0.42  # m around the path: half a craft and a margin
+DEFAULT_CRAFT = Hovercraft()
+ARM, RADIUS = DEFAULT_CRAFT.arm, DEFAULT_CRAFT.propeller_radius  # [m], defaults of the start values
+PATH_MARGIN_M = 0.42  # m around the path: half a craft and a margin
 MIN_RATIO, MAX_RATIO = 1.25, 1.9  # width / height of the picture
 MIN_SIZE = 0.06  # of the picture's width; a smaller craft is magnified
 ARROW = 250  # mm, about the length of the longest arrow
@@ -288,7 +289,7 @@ def make_view(crafts: Sequence[Craft], rows: Rows, charts: Charts) -> tuple[dict
         tracks += near.values()
         bodies.append(_body(craft, rows, charts) | {name: track.drawn(rows) for name, track in near.items()})
     x, y = (extent([getattr(track, axis) for track in tracks]) or (0.0, 0.0) for axis in "xy")
-    tall, wide = x[1] - x[0] + 2 * MARGIN, y[1] - y[0] + 2 * MARGIN
+    tall, wide = x[1] - x[0] + 2 * PATH_MARGIN_M, y[1] - y[0] + 2 * PATH_MARGIN_M
     room = 0.03 * max(wide, tall) if max(wide, tall) > 4 else 0.0
     tall, wide = tall + 2 * room, wide + 2 * room
     wide, tall = max(wide, MIN_RATIO * tall), max(tall, wide / MAX_RATIO)

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from controller.settings import SIDES
 from cosim.core.arrays import Array
 from cosim.core.text import MISSING, amount, displayed, length, percent, plain
 from cosim.report.charts import Drawing, Plot, round_values, sample_rows
@@ -18,9 +19,8 @@ from cosim.report.template import Row
 from cosim.simulation import criteria
 from cosim.simulation.report.recorded import ComponentPage, Run, mappings, number
 from fmus.report.craft import (
-    BAND,
-    COLOURS,
-    SIDES,
+    SETTLING_BAND,
+    SIDE_COLOURS,
     Craft,
     error_rms,
     find_crafts,
@@ -36,15 +36,15 @@ from plant.hovercraft import Hovercraft
 POSES = 1000  # of the moving picture
 TEMPLATE = Path(__file__).with_name("templates") / "craft.html.j2"
 MAX_RESPONSES = 16
-HELD = ("reference", "command")  # lines that are held between rows
-UNITS = {q.name: q.unit for q in Hovercraft.outputs}
-TITLES = {  # of the controlled and estimated states
+HELD_LINES = ("reference", "command")  # lines that are held between rows
+OUTPUT_UNITS = {q.name: q.unit for q in Hovercraft.outputs}
+STATE_TITLES = {  # of the controlled and estimated states
     "x": "Distance along the craft's axis",
     "psi": "Heading, positive to the left",
     "vx": "Forward speed",
     "psi_dot": "Yaw rate, positive to the left",
 }
-SYMBOLS = {"x": "x", "psi": "ψ", "vx": "v", "psi_dot": "ψ̇"}
+STATE_SYMBOLS = {"x": "x", "psi": "ψ", "vx": "v", "psi_dot": "ψ̇"}
 
 
 def subject(run: Run, drawing: Drawing) -> ComponentPage:
@@ -97,7 +97,7 @@ def band_sentence(craft: Craft) -> str | None:
     parts = []
     for variable in ("x", "psi"):
         if math.isfinite(share := inside_band(craft, variable)):
-            parts.append(f"{SYMBOLS[variable]} is within ±2σ of its estimate in {percent(share)} of the rows")
+            parts.append(f"{STATE_SYMBOLS[variable]} is within ±2σ of its estimate in {percent(share)} of the rows")
     return f"{', '.join(parts)}; about 95 % is expected for a consistent filter." if parts else None
 
 
@@ -135,13 +135,13 @@ def tiles(run: Run, crafts: Sequence[Craft]) -> list[Row]:
     rows: list[Row] = []
     for variable in ("x", "psi") if crafts and not run.has_failed else ():
         if answers := responses(crafts[0], variable):
-            unit, last = UNITS[variable], answers[-1]
-            time, note = _settling(last.settling, unit), f"last step, ±{BAND:g} {unit}"
+            unit, last = OUTPUT_UNITS[variable], answers[-1]
+            time, note = _settling(last.settling, unit), f"last step, ±{SETTLING_BAND:g} {unit}"
             for criterion in mappings(run.manifest.get("criteria")):
                 if (criterion.get("kind"), criterion.get("of")) == ("settling_time", f"{crafts[0].name}.{variable}"):
                     within = amount(number(criterion.get("band")), unit, None)
                     time, note = amount(number(criterion.get("value")), "s"), f"last criterion, ±{within}"
-            rows.append(Row(f"Settling of {SYMBOLS[variable]}", time, note))
+            rows.append(Row(f"Settling of {STATE_SYMBOLS[variable]}", time, note))
             if variable == "x":
                 error = length(last.final).replace("less than", "<")
                 rows.append(Row("Final error of x", error, "craft against reference"))
@@ -155,7 +155,7 @@ def _settling(value: float, unit: str) -> str:
     """Return a settling time as text."""
     if math.isnan(value):
         return MISSING
-    return amount(value, "s") if math.isfinite(value) else f"not within ±{BAND:g}\xa0{unit}"
+    return amount(value, "s") if math.isfinite(value) else f"not within ±{SETTLING_BAND:g}\xa0{unit}"
 
 
 def response_rows(craft: Craft) -> list[dict[str, str]]:
@@ -163,10 +163,10 @@ def response_rows(craft: Craft) -> list[dict[str, str]]:
     answers = sorted((r for v in ("x", "psi") for r in responses(craft, v)), key=lambda r: (r.time, r.variable != "x"))
     rows = []
     for answer in answers[-MAX_RESPONSES:]:
-        unit = UNITS[answer.variable]
+        unit = OUTPUT_UNITS[answer.variable]
         ramp = f", ramp of {amount(answer.ramp, 's', 2)}" if answer.ramp else ""
         step = f"{amount(answer.start, unit)} → {amount(answer.target, unit)}{ramp}"
-        row = {"symbol": SYMBOLS[answer.variable], "time": amount(answer.time, "s"), "step": step}
+        row = {"symbol": STATE_SYMBOLS[answer.variable], "time": amount(answer.time, "s"), "step": step}
         row |= {name: _settling(getattr(answer, name), unit) for name in ("settling", "believed")}
         rows.append(row | {name: amount(getattr(answer, name), unit, 2) for name in ("overshoot", "rms", "final")})
     return rows
@@ -175,8 +175,8 @@ def response_rows(craft: Craft) -> list[dict[str, str]]:
 def grids(craft: Craft) -> list[Mapping[str, Any]]:
     """Return the RMS errors of control and estimation, and effort and saturation of the tilts, as far as recorded."""
     errors, efforts = [], []
-    for name, symbol in SYMBOLS.items():
-        true, unit = craft.signal(name), UNITS[name]
+    for name, symbol in STATE_SYMBOLS.items():
+        true, unit = craft.signal(name), OUTPUT_UNITS[name]
         sizes = error_rms(true, craft.reference(name)), error_rms(craft.estimate(f"{name}_hat"), true)
         if any(map(math.isfinite, sizes)):
             errors.append((symbol, [amount(size, unit) for size in sizes]))
@@ -199,24 +199,24 @@ def grids(craft: Craft) -> list[Mapping[str, Any]]:
 def state_panels(craft: Craft) -> list[Panel]:
     """Return panels of states with references and estimates ±2σ."""
     panels = []
-    for name, title in TITLES.items():
-        true, estimate, unit = craft.signal(name), craft.estimate(f"{name}_hat"), UNITS[name]
+    for name, title in STATE_TITLES.items():
+        true, estimate, unit = craft.signal(name), craft.estimate(f"{name}_hat"), OUTPUT_UNITS[name]
         if is_drawn(true):
             lines = ("reference", craft.reference(name), "reference"), ("estimate", estimate, "estimate")
             band = _band(craft, name, estimate, "estimate ±2σ")
-            panels.append(_panel(title, unit, [*lines, ("craft", true, "true")], band, symbol=SYMBOLS[name]))
+            panels.append(_panel(title, unit, [*lines, ("craft", true, "true")], band, symbol=STATE_SYMBOLS[name]))
     return panels
 
 
 def error_panels(craft: Craft) -> list[Panel]:
     """Return panels of estimation errors, with the estimator's ±2σ about zero."""
     panels = []
-    for name, symbol in SYMBOLS.items():
+    for name, symbol in STATE_SYMBOLS.items():
         true, estimate = craft.signal(name), craft.estimate(f"{name}_hat")
         if is_drawn(true, estimate):
             lines = [("estimate − craft", estimate - true, "error")]
             band = _band(craft, name, np.zeros(true.size), "±2σ claimed")
-            panels.append(_panel(f"Error of {symbol}", UNITS[name], lines, band))
+            panels.append(_panel(f"Error of {symbol}", OUTPUT_UNITS[name], lines, band))
     return panels
 
 
@@ -227,7 +227,7 @@ def tilt_panels(craft: Craft) -> list[Panel]:
         edges = displayed(-limit, "rad"), displayed(limit, "rad")
         more = {"limits": edges, "limit_label": f"limit ±{amount(limit, 'rad', None)}"}
     for side in SIDES:
-        lines = [("command", craft.command(f"tilt_{side}"), COLOURS[side])]
+        lines = [("command", craft.command(f"tilt_{side}"), SIDE_COLOURS[side])]
         lines.append(("actual", craft.signal(f"tilt_{side}_actual"), "actual"))
         panels.append(_panel(f"Tilt, {side} propeller", "rad", lines, **more))
     return [panel for panel in panels if panel.traces]
@@ -236,7 +236,7 @@ def tilt_panels(craft: Craft) -> list[Panel]:
 def _panel(title: str, unit: str, lines: Sequence[tuple[str, Array, str]], band: Any = None, **more: Any) -> Panel:
     """Return a panel of the recorded ones of lines; references and commands are held between rows."""
     panel = signal_panel(title, unit, [line for line in lines if is_drawn(line[1])], band, **more)
-    return replace(panel, traces=[replace(t, held=t.label in HELD) for t in panel.traces])
+    return replace(panel, traces=[replace(t, held=t.label in HELD_LINES) for t in panel.traces])
 
 
 def _band(craft: Craft, name: str, centre: Array, label: str) -> tuple[str, Array, Array] | None:
@@ -249,7 +249,7 @@ def shown_columns(crafts: Sequence[Craft]) -> set[str]:
     """Return the result columns in the crafts' sections."""
     columns: set[str] = set()
     for craft in crafts:
-        for name in TITLES:
+        for name in STATE_TITLES:
             columns.add(f"{craft.name}.{name}")
             columns.update(f"{craft.estimator}.{name}_{end}" for end in ("hat", "sigma", "ref"))
             columns.add(craft.reference_column(name) or "")

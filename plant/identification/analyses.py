@@ -34,14 +34,14 @@ from plant.identification.recordings import Recording, at_rail
 from plant.powertrain import assembly_moment, ground_effect
 
 POLYNOMIAL_DEGREES = (1, 2, 3)
-MARGIN = 0.02  # [%] margin of duty to the cell's range and to zero thrust, because of the low pass
-MEMORY = 5.0  # number of lags and low passes after which the influence of a higher duty is below 1 %
+DUTY_MARGIN = 0.02  # [%] margin of duty to the cell's range and to zero thrust, because of the low pass
+MEMORY_TIME_CONSTANTS = 5.0  # number of lags and low passes after which the influence of a higher duty is below 1 %
 MIN_LINE_ROWS, MIN_LINE_RANGE = 50, 0.1  # rows of a repetition, [%] of its ramp with thrust, for a line
 MIDDLE_DUTY = 6.0  # [%] origin of polynomials in the duty
 CHEESEMAN_BENNETT = 2.0
 BIN = np.radians(2.5)  # of the tilt
 BEFORE = 0.3  # [s] before a step in a fit
-SETTLED = (0.68, 0.88)  # [s] after the step, window of the end value in App. D.3.4
+END_WINDOW_S = (0.68, 0.88)  # [s] after the step, window of the end value in App. D.3.4
 SMOOTHED_ROWS = 9  # rows of the mean in App. D.3.4
 DECIBEL, DEGREE = 20.0, 180.0 / np.pi
 
@@ -61,12 +61,12 @@ def rows_with_thrust(m: Measurement) -> tuple[float, float, list[Flags], list[Ar
     cell, recent, tops, end = m.cells["z"], list[Array](), list[float](), np.inf
     for r in m.recordings:
         # for each row the highest duty that still influences its reading
-        count = math.ceil(MEMORY * (m.bench.lag + m.test.low_pass) / r.step)
+        count = math.ceil(MEMORY_TIME_CONSTANTS * (m.bench.lag + m.test.low_pass) / r.step)
         before = np.pad(r.duty, (count, 0), mode="edge")
         recent.append(np.lib.stride_tricks.sliding_window_view(before, count + 1).max(axis=1))
         v, window = r.volts["z"], m.inside(r)
         beyond = at_rail(m.bench, v) | (v < cell.volts[0]) | (v > cell.volts[-1] + 0.1 * np.ptp(cell.volts))
-        end = min(end, float(recent[-1][window & beyond].min(initial=np.inf)) - MARGIN)
+        end = min(end, float(recent[-1][window & beyond].min(initial=np.inf)) - DUTY_MARGIN)
         tops.append(float(r.duty[window].max()))
     end = min(end, max(tops))
     inside = [m.inside(r) & (d <= end) for r, d in zip(m.recordings, recent, strict=True)]
@@ -77,7 +77,7 @@ def rows_with_thrust(m: Measurement) -> tuple[float, float, list[Flags], list[Ar
     thrust = [_thrust(m, r)[k] for r, k in zip(m.recordings, inside, strict=True)]
     begins = zero_thrust(np.concatenate(delayed), np.concatenate(thrust))
     following = [_delayed_duty(m, r, begins) for r in m.recordings]
-    above = [k & (d > begins + MARGIN) for k, d in zip(inside, following, strict=True)]
+    above = [k & (d > begins + DUTY_MARGIN) for k, d in zip(inside, following, strict=True)]
     return end, begins, above, [d[k] for d, k in zip(following, above, strict=True)], whole
 
 
@@ -138,7 +138,7 @@ def thrust_line(m: Measurement) -> Result:
     top = max(float(r.duty[m.inside(r)].max()) for r in m.recordings)
     if end < top - 1e-9:
         result.notes.append(
-            f"The vertical cell leaves its range above {end + MARGIN:.2f} %; samples below {end:.2f} % are "
+            f"The vertical cell leaves its range above {end + DUTY_MARGIN:.2f} %; samples below {end:.2f} % are "
             f"used, instead of up to {top:.2f} %. A cell with a larger range would cover the rest."
         )
     if degree > 1:
@@ -540,7 +540,7 @@ def _by_hand(time: Array, force: Array, end: float) -> tuple[float, float, float
     start = float(force[(time > -BEFORE) & (time < 0)].mean())
     rows = (time >= 0) & (time <= end)
     t, y = time[rows], _smoothed(force - start, 3, 10.0)[rows]
-    settled = (t >= SETTLED[0]) & (t <= SETTLED[1]) if t[-1] >= SETTLED[1] else slice(-10, None)
+    settled = (t >= END_WINDOW_S[0]) & (t <= END_WINDOW_S[1]) if t[-1] >= END_WINDOW_S[1] else slice(-10, None)
     y = y / float(y[settled].mean())
 
     def time_of(level: float) -> float:

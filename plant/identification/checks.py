@@ -13,9 +13,9 @@ from plant.bench import REST_DUTY, Bench
 from plant.identification.analyses import MIN_LINE_RANGE, MIN_LINE_ROWS, frequency_of, height_of, rows_with_thrust
 from plant.identification.estimates import LAGS, Measurement, Result, held_lag
 from plant.identification.protocol import (
-    BENCH,
-    CHANNELS,
+    CELL_UNITS,
     MIN_REPETITIONS,
+    OWN_BENCH,
     HeightTest,
     HoldTest,
     Protocol,
@@ -47,7 +47,7 @@ def planned_faults(protocol: Protocol) -> Iterator[Fault]:
     file = protocol.file
     for name, test in file.tests.named_tests():
         runs = [] if test.files else commands(test, protocol.bench, file.step)
-        lacking = (lacks(protocol.bench, name, test, run, own=file.bench == BENCH) for run in runs)
+        lacking = (lacks(protocol.bench, name, test, run, own=file.bench == OWN_BENCH) for run in runs)
         for key, message in {(key, message) for faults in lacking for key, _, message in faults}:
             yield protocol.yaml.fault(("tests", name, key), message)
 
@@ -196,7 +196,7 @@ def _cell_fault(m: Measurement, name: str, r: Recording) -> tuple[int, str] | No
         if np.ptp(volts[window]) == 0.0:
             return _first(window), f"volts_{c} is constant at {volts[window][0]:.4g} V; check the cell and its wires"
     if name in UPRIGHT:
-        follows = {c: float(m.force(r, c)[window].mean() / np.ptp(m.cells[c].loads)) for c in CHANNELS}
+        follows = {c: float(m.force(r, c)[window].mean() / np.ptp(m.cells[c].loads)) for c in CELL_UNITS}
         other = max("xm", key=lambda c: abs(follows[c]))
         if abs(follows[other]) > max(MIN_FOLLOWING, abs(follows["z"])):
             return 0, f"upright, volts_{other} follows the thrust and volts_z does not: {SWAPPED}"

@@ -41,7 +41,7 @@ from plant.identification import PROTOCOL
 from plant.identification.estimates import Estimate, Figure, Result, make_estimates
 from plant.identification.protocol import Files, Window
 
-MIN_RUNS = 3  # runs over the distance: the interval comes from the scatter between them
+MIN_DISTANCE_RUNS = 3  # runs over the distance: the interval comes from the scatter between them
 MIN_REST_ROWS = 50  # number of rows below which the 95 % interval of a variance exceeds 0.7 to 1.55 of it
 DRIFT_RATIO = 1.1  # ratio to the variance about a line, above which the variance about the mean contains a drift
 # difference between the halves of a log at rest, in standard deviations, above which it was not at rest
@@ -61,7 +61,7 @@ class RestFile(Part):
 class DistanceFile(Part):
     """Runs over a measured distance `covered`, common or separate, in the unit of `output`."""
 
-    files: Annotated[Files, Field(min_length=MIN_RUNS)]
+    files: Annotated[Files, Field(min_length=MIN_DISTANCE_RUNS)]
     parameter: str
     output: str
     covered: Number | list[Number]

@@ -33,8 +33,8 @@ from plant.bench import FREE_HEIGHT, Bench
 from plant.identification import PROTOCOL
 
 MIN_REPETITIONS = 3  # repetitions: intervals are computed from the scatter between them
-CHANNELS = {"z": "N", "x": "N", "m": "N.m"}  # cell → SI unit
-BENCH = "bench"  # the bench of this package
+CELL_UNITS = {"z": "N", "x": "N", "m": "N.m"}  # cell → SI unit
+OWN_BENCH = "bench"  # the bench of this package
 MAX_OVERLOAD = 1.5  # largest calibration load, as a multiple of full scale
 MIN_STEP, MAX_RUN_TIME = 1e-3, 3600.0  # [s] between rows of a simulated run, and of the whole
 MIN_LOADS = 4  # different loads of a calibration
@@ -294,7 +294,7 @@ class Protocol:
         """Return the load unit of a cell in N or N m; a gram-force is converted with the bench's gravity."""
         unit = self.file.cells[channel].unit
         gravity = self.bench.gravity / 9.80665 if unit == "gf" else 1.0
-        return (factor(unit, CHANNELS[channel]) or 1.0) * gravity
+        return (factor(unit, CELL_UNITS[channel]) or 1.0) * gravity
 
 
 def read_protocol(path: Path) -> Protocol:
@@ -315,12 +315,12 @@ def read_protocol(path: Path) -> Protocol:
             faults.append(yaml.fault(("parameters", name), text, key=True))
         elif reason := declared[name].fault(value):
             faults.append(yaml.fault(("parameters", name), reason))
-    if content.cells.keys() != CHANNELS.keys():
-        faults.append(yaml.fault(("cells",), f"the cells must be {', '.join(CHANNELS)}", key=True))
+    if content.cells.keys() != CELL_UNITS.keys():
+        faults.append(yaml.fault(("cells",), f"the cells must be {', '.join(CELL_UNITS)}", key=True))
     for name, cell in content.cells.items():
-        if name in CHANNELS and factor(cell.unit, CHANNELS[name]) is None:
+        if name in CELL_UNITS and factor(cell.unit, CELL_UNITS[name]) is None:
             hint = f"; the load of a mass is a force: write {cell.unit}f" if cell.unit in ("g", "kg") else ""
-            faults.append(yaml.fault(("cells", name, "unit"), f"{cell.unit} is not a unit of {CHANNELS[name]}{hint}"))
+            faults.append(yaml.fault(("cells", name, "unit"), f"{cell.unit} is not a unit of {CELL_UNITS[name]}{hint}"))
         if cell.loads and content.bench is None:
             text = "no bench is simulated; give measured `points` [load, voltage]"
             faults.append(yaml.fault(("cells", name, "loads"), text))
@@ -330,8 +330,8 @@ def read_protocol(path: Path) -> Protocol:
         if content.bench is None and not test.files:
             cure = "give a bench to simulate as `bench:`, or recordings as `files:`"
             faults.append(yaml.fault(("tests", name), f"has no files, and no bench is simulated; {cure}", key=True))
-    if content.bench not in (None, BENCH) and not (path.parent / str(content.bench)).is_file():
-        faults.append(yaml.fault(("bench",), f"no such FMU: {content.bench}; give its path, or {BENCH}"))
+    if content.bench not in (None, OWN_BENCH) and not (path.parent / str(content.bench)).is_file():
+        faults.append(yaml.fault(("bench",), f"no such FMU: {content.bench}; give its path, or {OWN_BENCH}"))
     refuse(faults)
     bench = bench.with_values(values)
     if (ground := content.tests.ground_effect) is not None and not ground.files:

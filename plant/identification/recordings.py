@@ -22,7 +22,7 @@ from cosim.core.errors import Fault, InputError, refuse
 from cosim.fmi.description import read_description
 from cosim.logs.log import read_log
 from plant.bench import FREE_HEIGHT, NEUTRAL_DUTY, REST_DUTY, Bench
-from plant.identification.protocol import CHANNELS, HeightTest, Protocol, SineTest
+from plant.identification.protocol import CELL_UNITS, HeightTest, Protocol, SineTest
 from plant.powertrain import servo_angle
 
 LOAD_TIME = 1.0  # [s] duration of a calibration load
@@ -124,8 +124,8 @@ def runs_of(protocol: Protocol, name: str, seed: int) -> list[Recording]:
 
 def _noise(protocol: Protocol, rng: np.random.Generator, rows: int, *, tare: bool = True) -> Array:
     draws = protocol.file.draws
-    drift = np.array([draws.tare.get(c, 0.0) for c in CHANNELS]) * rng.standard_normal(3) * tare
-    spread = np.array([draws.noise.get(c, 0.0) for c in CHANNELS])
+    drift = np.array([draws.tare.get(c, 0.0) for c in CELL_UNITS]) * rng.standard_normal(3) * tare
+    spread = np.array([draws.noise.get(c, 0.0) for c in CELL_UNITS])
     return np.asarray(drift[:, None] + spread[:, None] * rng.standard_normal((3, rows)))
 
 
@@ -134,13 +134,13 @@ def load_runs(protocol: Protocol, seed: int) -> dict[str, list[Recording]]:
     by_channel, step = dict[str, list[Recording]](), protocol.file.step
     time = np.asarray(step * np.arange(round(LOAD_TIME / step) + 1), dtype=np.float64)
     duty, servo_duty, height = (np.full_like(time, value) for value in (REST_DUTY, NEUTRAL_DUTY, FREE_HEIGHT))
-    for place, channel in enumerate(CHANNELS):
+    for place, channel in enumerate(CELL_UNITS):
         cell, rng = protocol.file.cells[channel], np.random.default_rng([seed, 100 + place])
         to_si, runs = protocol.load_in_si(channel), by_channel.setdefault(channel, [])
         off = cell.error * cell.full_scale * rng.standard_normal(len(cell.loads)) * (np.array(cell.loads) != 0)
         for load, e in zip(cell.loads, off, strict=True):
             noise = _noise(protocol, rng, time.size, tare=False)
-            loads = tuple((load + e) * to_si * (c == channel) for c in CHANNELS)
+            loads = tuple((load + e) * to_si * (c == channel) for c in CELL_UNITS)
             label = f"load {load:g} {cell.unit}"
             runs.append(Recording(label, time, duty, servo_duty, height, loads=loads, noise=noise))
     return by_channel
@@ -159,7 +159,7 @@ def play_on_fmu(
     Args:
         progress: Function of the completed rows of all runs.
     """
-    own, cells = [q.name for q in Bench.inputs], [f"volts_{c}" for c in CHANNELS]
+    own, cells = [q.name for q in Bench.inputs], [f"volts_{c}" for c in CELL_UNITS]
     block = RestartableFmu("bench", fmu, read_description(fmu), {}, frozenset(own))
     try:
         count, names = len(block.inputs), [s.name for s in (*block.inputs, *block.outputs)]
@@ -186,7 +186,7 @@ def play_on_fmu(
                     block.start()
                 volts.append([row[j] for j in read])
             by_cell = np.ascontiguousarray(np.transpose(volts))
-            recordings.append(replace(run, volts=dict(zip(CHANNELS, by_cell, strict=True))))
+            recordings.append(replace(run, volts=dict(zip(CELL_UNITS, by_cell, strict=True))))
             rows += len(time)
             if progress is not None:
                 progress(rows)
@@ -215,7 +215,7 @@ def read_recording(path: Path) -> Recording:
     time, *volts = (np.interp(whole, number, v) for v in (log.time, *(log.inputs[q.name] for q in COLUMNS[3:])))
     before = np.searchsorted(number, whole, side="right") - 1
     duty, servo_duty, height = (log.inputs[q.name][before] for q in COLUMNS[:3])
-    lines, by_cell = (log.header + 1 + before).tolist(), dict(zip(CHANNELS, volts, strict=True))
+    lines, by_cell = (log.header + 1 + before).tolist(), dict(zip(CELL_UNITS, volts, strict=True))
     return Recording(path.name, time, duty, servo_duty, height, by_cell, path=path, lines=lines)
 
 
@@ -223,7 +223,7 @@ def read_recording(path: Path) -> Recording:
 
 RAIL_STEPS = 1.5  # converter steps from the end of the range within which a reading is saturated
 RAIL_SLACK = 0.01  # share of the range that a voltmeter may exceed
-MIN_POINTS = 3  # points of a curve
+MIN_CURVE_POINTS = 3  # points of a curve
 RAIL_ERRORS = 3.0  # distance of a point from the rail in standard errors, so that chance selects no points
 
 
@@ -310,7 +310,7 @@ def calibrate(protocol: Protocol, hung: Mapping[str, Sequence[Recording]]) -> di
         InputError: The unsaturated points of a cell are too few, or the voltage is not monotonic in the load.
     """
     cells, faults, limit = {}, list[Fault](), protocol.bench.converter_range
-    for channel in CHANNELS:
+    for channel in CELL_UNITS:
         cell, unit, text = protocol.file.cells[channel], protocol.load_in_si(channel), ""
         points = cell.points
         if not points:
@@ -327,9 +327,9 @@ def calibrate(protocol: Protocol, hung: Mapping[str, Sequence[Recording]]) -> di
         turns = (np.diff(v) <= 0) | (steps * (np.median(steps) if steps.size else 0.0) <= 0)
         if (beyond := (volts < -RAIL_SLACK * limit) | (volts > (1.0 + RAIL_SLACK) * limit)).any():
             text = f"a point has {volts[beyond][0]:g} V, outside 0 to {limit:g} V; give volts, or `converter_range`"
-        elif f.size < MIN_POINTS:
+        elif f.size < MIN_CURVE_POINTS:
             inside = f"{f.size} of {loads.size} points are further from the ends of the range than their error"
-            text = f"{inside}; at least {MIN_POINTS} are needed; measure more points inside the range"
+            text = f"{inside}; at least {MIN_CURVE_POINTS} are needed; measure more points inside the range"
         elif turns.any():
             low, high = v[np.argmax(turns)], v[np.argmax(turns) + 1]
             text = f"between {low:.4g} V and {high:.4g} V the load does not increase monotonically; measure again"

@@ -16,7 +16,7 @@ from plant.identification.estimates import Estimate, Figure, Result
 from plant.identification.recordings import Cell
 
 TEMPLATE = Path(__file__).with_name("templates") / "identify.html.j2"
-TITLES = {
+TEST_TITLES = {
     "thrust_line": "Test 1: thrust line",
     "ground_effect": "Test 2: ground effect",
     "projection": "Test 3: projections",
@@ -44,7 +44,7 @@ def page(
         recordings: Description of the data, such as `3 logs`.
         calibrated: Channel, cell, load unit in N or N m, and name of the unit.
     """
-    charts, every = Charts(), [(TITLES[r.test], e) for r in results for e in r.estimates]
+    charts, every = Charts(), [(TEST_TITLES[r.test], e) for r in results for e in r.estimates]
     testable = [e for _, e in every if not np.isnan(e.truth)]
     held = sum(e.covers_truth for e in testable)
     widths = {e.name: e.half_width / abs(e.value) for _, e in every if e.value and np.isfinite(e.half_width)}
@@ -69,7 +69,7 @@ def page(
     for r in results:
         notes = [*(f"Warning: {text}." for text in r.warnings), *r.notes]
         figures = [(plot_of(f, charts), f.counterpart) for f in r.figures]
-        tests.append({"name": r.test, "title": TITLES[r.test], "notes": notes, "plots": figures})
+        tests.append({"name": r.test, "title": TEST_TITLES[r.test], "notes": notes, "plots": figures})
     values = {
         "name": name,
         "headline": headline,

@@ -36,13 +36,14 @@ from plant.identification.analyses import (
 from plant.identification.checks import planned_faults, recording_faults, result_faults
 from plant.identification.craft import read_craft
 from plant.identification.estimates import Estimate, Measurement, Result
-from plant.identification.protocol import BENCH, CHANNELS, Protocol, read_protocol
+from plant.identification.protocol import CELL_UNITS, OWN_BENCH, Protocol, read_protocol
 from plant.identification.recordings import Cells, Recording, calibrate, load_runs, play_on_fmu, read_recording, runs_of
 from plant.identification.report import page
 from plant.powertrain import ground_effect
 
-RECORD, REPORT = "identify.json", "report.html"
-NUMBERS = {"thrust_offset", "thrust_slope", "ground_effect_exponent", "lag", "assembly_arm"}  # of a power-train
+IDENTIFY_RECORD, REPORT = "identify.json", "report.html"
+# of a power-train
+IDENTIFIED_PARAMETERS = {"thrust_offset", "thrust_slope", "ground_effect_exponent", "lag", "assembly_arm"}
 # in order of dependence; a step test takes precedence for the lag
 ANALYSES: Mapping[str, Callable[[Measurement], Result]] = {
     "step": after_step,
@@ -125,7 +126,7 @@ def identify(
             protocol, model, measured = prepare(path)
             read = [path, *(r.path for recordings in measured.values() for r in recordings if r.path)]
             name, model_file = protocol.file.name, "powertrain.yaml"
-        check_writable(place, (model_file, RECORD, REPORT), read)
+        check_writable(place, (model_file, IDENTIFY_RECORD, REPORT), read)
         if craft is not None:
             outcome, record = Outcome(craft.results(), model_file), {"name": name}
             recorded = counted(len(read) - 1, "log")
@@ -139,7 +140,7 @@ def identify(
             text = _powertrain(protocol, outcome, model)
             recorded = counted(sum(map(len, recordings.values())), "recording")
             record = {"protocol": name, "calibration": {c: cell.as_json() for c, cell in cells.items()}}
-            calibrated = [(c, cells[c], protocol.load_in_si(c), protocol.file.cells[c].unit) for c in CHANNELS]
+            calibrated = [(c, cells[c], protocol.load_in_si(c), protocol.file.cells[c].unit) for c in CELL_UNITS]
         shown = page(name, path, outcome.results, recorded, calibrated) if report else ""
         whole = {
             "schema_version": 1,
@@ -151,7 +152,7 @@ def identify(
         remove_earlier(place, read=read)
         write_text(place / model_file, text)
         plain = json.loads(json.dumps(whole), parse_constant=lambda _: None)  # null for missing numbers
-        write_json(place / RECORD, plain, indent=1)
+        write_json(place / IDENTIFY_RECORD, plain, indent=1)
         if shown:
             write_text(place / REPORT, shown)
         return outcome
@@ -202,8 +203,8 @@ def prepare(path: Path) -> tuple[Protocol, Model, dict[str, list[Recording]]]:
     refuse(faults)
     text = protocol.file.model
     model = named_model(text) if is_model(text) else load_model(text, protocol.yaml.path.parent, protocol.yaml).model
-    if not NUMBERS & {p.name for p in model.parameters}:
-        reason = f"{text} has none of {', '.join(sorted(NUMBERS))}, the identified parameters"
+    if not IDENTIFIED_PARAMETERS & {p.name for p in model.parameters}:
+        reason = f"{text} has none of {', '.join(sorted(IDENTIFIED_PARAMETERS))}, the identified parameters"
         refuse([protocol.yaml.fault(("model",), f"{reason}; give the model of the object on the bench")])
     return protocol, model, measured
 
@@ -221,8 +222,8 @@ def _recorded(
         tell = None if progress is None else (lambda done: progress("simulating the bench", done / total))
         with temporary_folder("identify") as folder:
             fmu = protocol.yaml.path.parent / protocol.file.bench
-            if protocol.file.bench == BENCH:
-                fmu = build(resolve(model_entry(BENCH).recipe)(), folder / "bench.fmu")
+            if protocol.file.bench == OWN_BENCH:
+                fmu = build(resolve(model_entry(OWN_BENCH).recipe)(), folder / "bench.fmu")
             played = iter(play_on_fmu(fmu, protocol.file.parameters, every, tell))
         hung, simulated = (
             {n: [next(played) for _ in group] for n, group in groups.items()} for groups in (loads, runs)
@@ -239,7 +240,7 @@ def analyse(protocol: Protocol, cells: Cells, recordings: Recordings) -> list[Re
 
     Required numbers come from earlier tests; without them, from the protocol.
     """
-    bench, truth = protocol.bench, protocol.bench if protocol.file.bench == BENCH else None
+    bench, truth = protocol.bench, protocol.bench if protocol.file.bench == OWN_BENCH else None
     if truth is not None:  # estimated parameters must not be known
         blank = Bench()
         unknown = ("thrust_offset", "thrust_slope", "lag", "assembly_arm")

@@ -16,14 +16,14 @@ from cosim.core.arrays import Array
 from cosim.core.errors import Fault, InputError, SimulationError, TimedOut
 from cosim.estimation.kernel.generate import Generated, generate, generate_stepped
 from cosim.estimation.kernel.kernel import Data, Filtered, Kernel, Simulated, no_filtered, no_simulated
-from cosim.estimation.kernel.library_kernel import NAME, CompiledKernel, LibraryKernel, LibraryOf
+from cosim.estimation.kernel.library_kernel import MODEL_COMPONENT, CompiledKernel, LibraryKernel, LibraryOf
 from cosim.fmi.native.compiler import CompilerFailed, NoCompiler, cure
 from cosim.isolation.limits import LOADING
 from cosim.isolation.process import Remote, Worker
 from cosim.isolation.watch import Watch
 from cosim.model.model import Model
 from cosim.model.symbolic.symbols import OfNumbersOnly
-from cosim.probing.prober import SLOW
+from cosim.probing.prober import MAX_TRIAL_DURATIONS
 from cosim.terms.code import FmuModel
 
 _kernels: dict[tuple[Any, ...], Kernel] = {}
@@ -78,7 +78,7 @@ def kernel(
 # An FMU's library is filtered in worker processes, so that a crash or a hang costs only one evaluation.
 
 
-MODULES = ("cosim.estimation.kernel.library_kernel", "fmpy.fmi2")
+KERNEL_MODULES = ("cosim.estimation.kernel.library_kernel", "fmpy.fmi2")
 
 # idle worker processes with kernels; a thread takes one for each call
 _idle: queue.LifoQueue[tuple[Worker, dict[RemoteLibraryKernel, Remote]]] = queue.LifoQueue()
@@ -111,12 +111,12 @@ class RemoteLibraryKernel:
         try:
             worker, kernels = _idle.get_nowait()
         except queue.Empty:
-            worker, kernels = Worker(*MODULES), {}
+            worker, kernels = Worker(*KERNEL_MODULES), {}
         most = (self.limits.load or LOADING) * len({id(data) for data, *_ in passes})
-        # An FMU that has hung once often hangs at all values beyond a limit, so the time limit is shortened.
-        most = min(most, max(1.0, SLOW * self._longest)) if self._has_hung else most
+        # An FMU that hung once often hangs at each value beyond a limit, for which a search must not wait each time.
+        most = min(most, max(1.0, MAX_TRIAL_DURATIONS * self._longest)) if self._has_hung else most
         try:
-            watch = Watch((NAME,), limits=self.limits.model_copy(update={"load": most}), computing=True)
+            watch = Watch((MODEL_COMPONENT,), limits=self.limits.model_copy(update={"load": most}), computing=True)
             remote = kernels.setdefault(self, Remote(worker, LibraryKernel, *self._recipe))
             results, spent = remote.call("call", method, passes, options, watch=watch)
             self._longest = max(self._longest, spent)

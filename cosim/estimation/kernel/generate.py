@@ -21,7 +21,15 @@ import numpy as np
 
 import cosim.fmi.native
 from cosim.core.units import unit_of_rate
-from cosim.estimation.kernel.kernel import CONSTANT, DEVIATION, DISTURBANCE, EARLIER, MEMORY, START, Layout
+from cosim.estimation.kernel.kernel import (
+    CONSTANT_PREFIX,
+    CORRELATION_TIME,
+    DEVIATION,
+    DISTURBANCE,
+    EARLIER,
+    START_PREFIX,
+    Layout,
+)
 from cosim.files.cache import fingerprint, load_or_make
 from cosim.model.model import STIFF, Model
 from cosim.model.namespaces import SymbolNamespace
@@ -61,9 +69,9 @@ def generate(model: Model, measured: Sequence[str], unnamed: bool = False, const
         body.derivative.update({state: body.derivative[state] + sums[state] for state in forced})
     _add_sensor_errors(body, model)
     if unnamed:
-        body.outputs.update({n: sympy.sympify(body.outputs[n]) + sums[READING + n] for n in measured})
-    if forced:  # each forced equation has an unknown input as additional state
-        lasting = body.parameter(MEMORY)
+        body.outputs.update({n: sympy.sympify(body.outputs[n]) + sums[READING_PREFIX + n] for n in measured})
+    if forced:  # an unknown input as additional state in each forced equation
+        lasting = body.parameter(CORRELATION_TIME)
         added = {name: sympy.Symbol(f"state:{DISTURBANCE}{name}", real=True) for name in forced}
         for name, d in added.items():
             body.derivative[name] += d
@@ -71,7 +79,7 @@ def generate(model: Model, measured: Sequence[str], unnamed: bool = False, const
         body = replace(body, symbols=replace(body.symbols, state=(*body.symbols.state, *added.values())))
     body, carrying = _with_constants(body, driven, measured, constant)
     names, unknown = list(body.derivative), [DISTURBANCE + n for n in forced]
-    random = (*uncertain, *unknown, *carrying, *(CONSTANT + n for n in constant))
+    random = (*uncertain, *unknown, *carrying, *(CONSTANT_PREFIX + n for n in constant))
     stochastic = tuple(names.index(n) for n in random)
     x = [body.symbols.state[k] for k in stochastic]
     f, g = [body.derivative[n] for n in names], [sympy.sympify(body.outputs[n]) for n in measured]
@@ -123,7 +131,7 @@ def generate_stepped(model: FmuModel, measured: Sequence[str], unnamed: bool = F
     body = Body.of(model)
     known = Known.of(body.symbols, measured)
     _add_sensor_errors(body, model)
-    body.parameter(MEMORY)
+    body.parameter(CORRELATION_TIME)
     sums, shapes = _nameless(body, known, measured) if unnamed else ({}, [])
     names = [q.name for q in model.outputs]
     values = [sympy.sympify(body.outputs[n]) for n in measured]
@@ -149,7 +157,7 @@ def generate_stepped(model: FmuModel, measured: Sequence[str], unnamed: bool = F
             place = kind.place.position if issubclass(kind, Force) else kind.place.state
             places[model.outputs[place].name] = None
     prefixes = (EARLIER, DISTURBANCE, DEVIATION)
-    states = (*names, *(prefix + n for prefix in prefixes for n in measured), *(START + n for n in model.starts))
+    states = (*names, *(prefix + n for prefix in prefixes for n in measured), *(START_PREFIX + n for n in model.starts))
     layout = _layout(
         body,
         measured,
@@ -165,7 +173,7 @@ def generate_stepped(model: FmuModel, measured: Sequence[str], unnamed: bool = F
     run_places = [names.index(measured[k]) for k in positions]
     sizes = {
         **{"NB": len(names), "NL": len(names), "STIFF": 0, "UNNAMED": int(unnamed)},
-        **{"LASTING": layout.parameters.index(MEMORY), "POSITIONS": len(positions)},
+        **{"LASTING": layout.parameters.index(CORRELATION_TIME), "POSITIONS": len(positions)},
         **{"READ_PLACES": positions, "RUN_PLACES": run_places},
     }
     return layout, _source(layout, "\n".join(texts), sizes, ("library_calls.c", "stepped_library.c"), "free_run.c")
@@ -220,11 +228,11 @@ def _nameless(
     """
     import sympy
 
-    places = [*forced, *(READING + n for n in measured)]
+    places = [*forced, *(READING_PREFIX + n for n in measured)]
     sums: dict[str, Any] = dict.fromkeys(places, sympy.Integer(0))
     for name, basis in bases(known).items():
         for state in forced:
-            sums[state] += body.parameter(f"{PREFIX}.{state}.{name}") * basis
+            sums[state] += body.parameter(f"{SHAPE_PREFIX}.{state}.{name}") * basis
     signals = local_signals(known)
     shapes = [local_shape(slot, signals, places, body.parameter) for slot in range(1, SLOTS + 1)]
     for shape in shapes:
@@ -284,7 +292,7 @@ def _with_constants(
 
     if not constant:
         return body, ()
-    states = {body.parameters[n]: sympy.Symbol(f"state:{CONSTANT}{n}", real=True) for n in constant}
+    states = {body.parameters[n]: sympy.Symbol(f"state:{CONSTANT_PREFIX}{n}", real=True) for n in constant}
     body.derivative.update({n: e.xreplace(states) for n, e in body.derivative.items()})
     body.outputs.update({n: sympy.sympify(e).xreplace(states) for n, e in body.outputs.items()})
     places = [k for k, e in enumerate(body.derivative.values()) if e.free_symbols & set(states.values())]
@@ -296,7 +304,7 @@ def _with_constants(
         for k, n in enumerate(body.derivative)
         if k in reached & reaching and not (n in apart or n.startswith(DISTURBANCE))
     )
-    body.derivative.update({CONSTANT + n: sympy.Integer(0) for n in constant})
+    body.derivative.update({CONSTANT_PREFIX + n: sympy.Integer(0) for n in constant})
     return replace(body, symbols=replace(body.symbols, state=(*body.symbols.state, *states.values()))), carrying
 
 
@@ -342,13 +350,14 @@ def _influence(body: Body, first: Sequence[int], expressions: Sequence[Any]) -> 
 # bump falls from 1 to 0 within ±2; rise increases from 0 to 1 between −1 and 1. If all parameters are 0, the shape is 0.
 #
 
-READING = "reading of "  # prefix of a measured output, which replaces a state, if its reading has a local shape
-PREFIX = "unnamed"  # prefix of coefficients: `unnamed.state.basis`
-RATE = "rate of "  # prefix of the rate of an output (co-simulation)
-LOCAL = "local"  # prefix of a local shape's parameters, such as `local.1.of.position`; `local.1.of.1` is the constant
-SLOTS, KNOTS = 2, 8  # local shapes at a time, and bumps of each
+
+READING_PREFIX = "reading of "  # prefix of an output in place of a state whose equation has a local shape
+SHAPE_PREFIX = "unnamed"  # prefix of coefficients: `unnamed.state.basis`
+RATE = "rate of "  # prefix of the rate of an output in co-simulation
+LOCAL = "local"  # prefix of a local shape's parameters: `local.1.of.position`, and `local.1.of.1` of the constant
+SLOTS, KNOTS = 2, 8  # simultaneous local shapes, and bumps of each
 ROLES = ("of", "by")
-REACH = 2.0  # ζ at which a bump reaches 0
+BUMP_REACH = 2.0  # ζ at which a bump reaches 0
 
 
 @dataclass(frozen=True)
@@ -481,8 +490,8 @@ def local_shape(
 
 
 def bump(x: Any) -> Any:
-    """Return (1 − x²/4)³ for |x| < 2, else 0, of arrays or symbols."""
-    below = 1 - x * x / REACH**2
+    """Return (1 − x²/4)³ where positive, for arrays or symbols."""
+    below = 1 - x * x / BUMP_REACH**2
     return ((below + abs(below)) / 2) ** 3
 
 

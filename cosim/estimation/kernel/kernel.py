@@ -14,12 +14,12 @@ import numpy as np
 
 from cosim.core.arrays import Array, NamedValues
 
-DISTURBANCE = "disturbance."  # prefix of a forced state's unknown input, which is an additional state
-CONSTANT = "constant."  # prefix of a parameter that is a constant state, which the filter estimates
-DEVIATION = "deviation."  # prefix of the deviation of a free run's output, driven by unknown inputs
-EARLIER = "earlier."  # prefix of this deviation in the previous row, which represents hidden states
-START = "start."  # prefix of a start value of an FMU for co-simulation, which is a constant state
-MEMORY = "disturbance.time"  # parameter with the correlation time of unknown inputs [s]
+DISTURBANCE = "disturbance."  # prefix of a forced state's unknown input, a state of its own
+CONSTANT_PREFIX = "constant."  # prefix of a parameter as constant state, for the filter to estimate
+DEVIATION = "deviation."  # prefix of the deviation of a free run's output, which unknown inputs drive
+EARLIER = "earlier."  # prefix of the deviation in the row before, which stands for hidden states
+START_PREFIX = "start."  # prefix of a start value of an FMU for co-simulation, a constant state
+CORRELATION_TIME = "disturbance.time"  # parameter with the correlation time of unknown inputs [s]
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,7 @@ class Layout:
     @property
     def start_places(self) -> list[int]:
         """Return the indices of the start states of a free run."""
-        return [k for k, name in enumerate(self.states) if name.startswith(START)]
+        return [k for k, name in enumerate(self.states) if name.startswith(START_PREFIX)]
 
     @property
     def forced_places(self) -> list[int]:
@@ -86,7 +86,7 @@ class Layout:
     @cached_property
     def constants(self) -> Mapping[str, int]:
         """Return parameter → index of its constant state."""
-        return {n.removeprefix(CONSTANT): k for k, n in enumerate(self.states) if n.startswith(CONSTANT)}
+        return {n.removeprefix(CONSTANT_PREFIX): k for k, n in enumerate(self.states) if n.startswith(CONSTANT_PREFIX)}
 
 
 @dataclass(frozen=True)

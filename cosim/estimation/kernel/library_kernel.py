@@ -18,8 +18,8 @@ from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.shared_code import claim
 from cosim.core.arrays import Array, NamedValues
 from cosim.core.linear_algebra import least_squares
-from cosim.estimation.kernel.generate import LOCAL, NATIVE, PREFIX, Generated
-from cosim.estimation.kernel.kernel import MEMORY, Data, Filtered, Simulated, no_filtered, no_simulated
+from cosim.estimation.kernel.generate import LOCAL, NATIVE, SHAPE_PREFIX, Generated
+from cosim.estimation.kernel.kernel import CORRELATION_TIME, Data, Filtered, Simulated, no_filtered, no_simulated
 from cosim.fmi.description import reals, takes_any_step
 from cosim.fmi.native.compiler import load_library
 from cosim.isolation.limits import Limits
@@ -106,19 +106,19 @@ def _address(a: Any) -> ctypes.c_void_p:
     return ctypes.c_void_p(a.ctypes.data if a.size else None)
 
 
-NAME = "model"  # component name in messages
-KEPT = 32  # cached free runs and responses
-HIDDEN, EXACT = 1.5, 1e-6  # least fall of ln squared error by a hidden state; share of squared change
-STEP = 1e-6  # step of differences, as a share of a state's usual size
+MODEL_COMPONENT = "model"  # component name in messages
+MAX_CACHED_RUNS = 32  # free runs and responses
+HIDDEN, EXACT = 1.5, 1e-6  # fall of ln squared errors from which a state is hidden; share of the squared change
+STATE_STEP = 1e-6  # step of differences, as a share of a state's usual size
 
-FUNCTIONS = ("set_time", "set_states", "get_rates", "complete", "step", "set_reals", "get_reals")
+FMU_FUNCTIONS = ("set_time", "set_states", "get_rates", "complete", "step", "set_reals", "get_reals")
 
 
 class _Library(ctypes.Structure):
     """Functions and variables of an FMU instance, as the structure in `library_calls.c`."""
 
     _fields_ = (
-        *((name, ctypes.c_void_p) for name in ("instance", *FUNCTIONS, "inputs", "outputs", "steps")),
+        *((name, ctypes.c_void_p) for name in ("instance", *FMU_FUNCTIONS, "inputs", "outputs", "steps")),
         ("version", ctypes.c_int),
         ("directions", ctypes.c_int),
         *((name, ctypes.c_void_p) for name in ("second", "braked", "speeds", "changes")),
@@ -157,7 +157,7 @@ class LibraryInstance:
 
     def __init__(self, fmu: LibraryOf, *, stepped: bool = False) -> None:
         self._path, self._description, self._stepped = fmu.path, fmu.description, stepped
-        self._steps = np.array([STEP * (size or 1.0) for size in fmu.sizes])
+        self._steps = np.array([STATE_STEP * (size or 1.0) for size in fmu.sizes])
         self._values: dict[str, float] | None = None
         self._block: FmuBlock | None = None
         self._functions_of = _Library()
@@ -173,7 +173,7 @@ class LibraryInstance:
         self._values = None
         if self._block is None:
             kind: Any = partial(FmuBlock, way="co-simulation") if self._stepped else DifferentiableFmu
-            self._block = kind(NAME, self._path, self._description, {}, frozenset())
+            self._block = kind(MODEL_COMPONENT, self._path, self._description, {}, frozenset())
             self._block.bind_nothing()
         self._block.open_again(values, start, stop)
         self._values, self._functions_of = dict(values), self._functions(self._block)
@@ -209,9 +209,9 @@ class LibraryKernel(CompiledKernel):
         self._places = {v: order.index(n) for n, v in fmu.variables.items() if n in order}
         self._turned = {order.index(n): v for n, v in fmu.neutral.items() if n in order}
         self._along = {order.index(n): v for n, v in self.layout.along.items() if self.layout.positions}
-        shapes = f"{PREFIX}.", f"{LOCAL}."
-        self._not_of_run = [k for k, n in enumerate(order) if n == MEMORY or n.startswith(shapes)]
-        self._last: dict[tuple[Any, ...], Any] = {}  # last free runs and responses
+        shapes = f"{SHAPE_PREFIX}.", f"{LOCAL}."
+        self._not_of_run = [k for k, n in enumerate(order) if n == CORRELATION_TIME or n.startswith(shapes)]
+        self._last: dict[tuple[Any, ...], Any] = {}  # free runs and responses
 
     def run(self, data: Data, p: Array, x0: Array, P0: Array, q: Array, r: Array, *, states: bool = False) -> Filtered:
         """Filter one log, as `Kernel.run`."""
@@ -249,7 +249,7 @@ class LibraryKernel(CompiledKernel):
         """Return the result of `make`, cached by `numbers` and the inputs of a log; only the last results are kept."""
         key = data.u.tobytes(), data.interpolated, data.start, data.step, data.substeps, *(n.tobytes() for n in numbers)
         made = self._last[key] = self._last.pop(key) if key in self._last else make()
-        for oldest in [*self._last][:-KEPT]:
+        for oldest in [*self._last][:-MAX_CACHED_RUNS]:
             del self._last[oldest]
         return made
 

@@ -13,10 +13,9 @@ from cosim.model.quantities import Parameter
 if TYPE_CHECKING:
     from cosim.estimation.subject.interface import Subject
 
-# default relative tolerance of a value from a data sheet, half-width of its 95 % interval; adjustments within are no
-# finding
-TOLERANCE = 0.02
-WIDTHS = 2.0  # standard deviations in a tolerance
+# default relative tolerance of a data sheet value, valid in 95 of 100 cases; recalibration within is no finding
+DATA_SHEET_TOLERANCE = 0.02
+SIGMAS_PER_TOLERANCE = 2.0  # standard deviations in a tolerance on each side
 
 Kind = Literal["effect", "sensor", "parameter"]
 
@@ -132,7 +131,7 @@ def base_parameters(subject: Subject, values: NamedValues, tolerance: NamedValue
         tolerance: Parameter → relative tolerance from the study, which overrides that of the model.
     """
     stated = {p.name: p.tolerance for p in subject.parameters if p.tolerance is not None} | dict(tolerance)
-    every = {**{name: stated.get(name, TOLERANCE) for name in subject.calibrated}, **stated}
+    every = {**{name: stated.get(name, DATA_SHEET_TOLERANCE) for name in subject.calibrated}, **stated}
     return [base_parameter(subject, name, values, share) for name, share in every.items()]
 
 
@@ -145,7 +144,7 @@ def base_parameter(subject: Subject, name: str, values: NamedValues, tolerance: 
 
 def spread_of_base(p: Parameter, value: float, tolerance: float) -> float:
     """Return the prior standard deviation of a base parameter."""
-    return tolerance * _scale(p, value) / WIDTHS
+    return tolerance * _scale(p, value) / SIGMAS_PER_TOLERANCE
 
 
 def _scale(p: Parameter, value: float) -> float:

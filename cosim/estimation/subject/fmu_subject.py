@@ -20,11 +20,11 @@ from cosim.core.arrays import Array, NamedValues
 from cosim.core.errors import InputError
 from cosim.core.units import unit_of_rate, unit_product
 from cosim.estimation.kernel.backend import kernel
-from cosim.estimation.kernel.kernel import DISTURBANCE, START, Begin, Data, Kernel, simulate_all
+from cosim.estimation.kernel.kernel import DISTURBANCE, START_PREFIX, Begin, Data, Kernel, simulate_all
 from cosim.estimation.kernel.library_kernel import NO_LIMITS, LibraryOf
 from cosim.estimation.subject.candidates import Candidate
 from cosim.estimation.subject.interface import Predict, Replayer, Start, Workplace
-from cosim.estimation.subject.model_subject import FILES, ModelSubject, new_fmu
+from cosim.estimation.subject.model_subject import DELIVERED_FILES, ModelSubject, new_fmu
 from cosim.fmi.building.file import LoadedModel
 from cosim.fmi.description import display_units, read_description, takes_any_step
 from cosim.fmi.native.compiler import CompilerFailed, NoCompiler
@@ -35,14 +35,14 @@ from cosim.logs.log import Log
 from cosim.model.quantities import Parameter, Quantity, parameters_of
 from cosim.model.traits import Traits
 from cosim.probing.fmu_structure import StartValue, Structure
-from cosim.residuals.drive import MODULES, DriveApart
+from cosim.residuals.drive import REPLAY_MODULES, DriveApart
 from cosim.residuals.windows import Replay, start_parameters
 from cosim.terms.catalogue import bound_terms, delay_of, experiments_for, sensor_errors
 from cosim.terms.code import Dependencies, FmuModel, fmu_model, term_code
 from cosim.terms.language import Direction, Force, Opposite, Place, with_place
 
-SUBSTEPS = 8  # co-simulation steps between rows, for forces that depend on the outputs
-WAYS = {
+SUBSTEPS = 8  # steps of co-simulation between rows, for forces that follow the outputs
+WAY_DESCRIPTIONS = {
     "model-exchange": "model exchange: a filter over the states of the FMU",
     "co-simulation": "co-simulation: simulations of whole logs, with estimated deviations of the outputs",
 }
@@ -68,12 +68,12 @@ class FmuSubject(ModelSubject):
         self.structure, self.limits = structure, limits
         self.is_stepped = structure.way == "co-simulation"
         self.untried = NO_ACCESS if self.is_stepped else ""
-        self.source = f"{structure.fmu}, {WAYS[structure.way]}"
+        self.source = f"{structure.fmu}, {WAY_DESCRIPTIONS[structure.way]}"
         self._description = read_description(structure.fmu)
         self.display = display_units([self._description])
         names = (kind.name for kind in (*self.model.catalogue, *self.model.sensors))
         self.told_apart_by = {**self.model.told_apart_by, **experiments_for(names)}
-        self.start_variance = {START + with_place(s.name): s.size**2 for s in structure.starts}
+        self.start_variance = {START_PREFIX + with_place(s.name): s.size**2 for s in structure.starts}
 
     @classmethod
     def of_fmu(
@@ -90,7 +90,7 @@ class FmuSubject(ModelSubject):
             terms: Terms that the user has added to the catalogue.
         """
         if structure.way == "co-simulation":
-            with Worker(*MODULES) as worker, DriveApart(worker, logs[0], structure.fmu) as drive:
+            with Worker(*REPLAY_MODULES) as worker, DriveApart(worker, logs[0], structure.fmu) as drive:
                 shown = start_parameters(drive)
             # parameters for start values are not parameters of fits
             known, variables = {s.shown for s in structure.starts}, {p.name: p.quantity for p in structure.parameters}
@@ -157,7 +157,7 @@ class FmuSubject(ModelSubject):
 
     def start(self) -> dict[str, float]:
         """Return the start value of each state."""
-        own = {START + with_place(s.name): s.quantity.start for s in self.structure.starts}
+        own = {START_PREFIX + with_place(s.name): s.quantity.start for s in self.structure.starts}
         return {q.name: q.start for q in self.states} | own
 
     def start_of_log(self, readings: NamedValues) -> dict[str, float]:
@@ -167,7 +167,7 @@ class FmuSubject(ModelSubject):
             if s.gain and (name := outputs[s.shown].name) in readings:
                 low, high = s.quantity.bounds
                 value = s.quantity.start + (readings[name] - outputs[s.shown].start) / s.gain
-                start[START + with_place(s.name)] = min(max(value, low), high)
+                start[START_PREFIX + with_place(s.name)] = min(max(value, low), high)
         return {**start, **readings}
 
     def substeps(self, step: float) -> int:
@@ -230,11 +230,11 @@ class FmuSubject(ModelSubject):
     def write(self, scratch: Path, folder: Path, name: str) -> Sequence[Path]:
         """Write plant.fmu or nearest.fmu: the original FMU with the claimed terms and values."""
         fmu = self._delivered(scratch)
-        return () if fmu is None else (Path(copyfile(fmu, scratch / FILES[name][1])),)
+        return () if fmu is None else (Path(copyfile(fmu, scratch / DELIVERED_FILES[name][1])),)
 
     def main_file(self, name: Literal["refined", "nearest"]) -> str:
         """Return the name of the FMU, the only file."""
-        return FILES[name][1]
+        return DELIVERED_FILES[name][1]
 
 
 @dataclass
@@ -273,11 +273,11 @@ class LibraryReplayer(Replayer):
 # The model of a probed FMU: signals, places with usual sizes in the logs, terms and parameters.
 
 
-HORIZON_ROWS, HORIZON_SHARE = 50, 0.1  # duration of replays: least number of rows, and usual share of a log
-LATEST = 20  # longest delay of the inputs [rows]
-SLOPE_ROWS = 5  # rows over which the rate of change of readings is computed
-WIDEST = 100.0  # factor by which a parameter without bounds may increase or decrease
-RESOLVED = 0.25  # limit of substep times largest eigenvalue; it determines the friction's smoothing velocity
+HORIZON_ROWS, HORIZON_SHARE = 50, 0.1  # duration of replays: least in rows, and usual share of a log
+LATEST = 20  # longest delay of the inputs, in rows
+SLOPE_ROWS = 5  # rows over which the rate of readings is taken
+UNBOUNDED_FACTOR = 100.0  # factor on a parameter without bounds, up and down
+RESOLVED = 0.25  # substep times largest eigenvalue; transition of friction of half the usual force, in steps
 
 
 def probed_model(structure: Structure, logs: Sequence[Log], terms: Sequence[type[Any]] = ()) -> FmuModel:
@@ -302,7 +302,7 @@ def probed_model(structure: Structure, logs: Sequence[Log], terms: Sequence[type
     for p in s.acting:  # a parameter without bounds keeps its sign; the usual size of a value 0 is the tried change
         q, (low, high) = p.quantity, p.quantity.bounds
         if q.start != 0.0:
-            ends = sorted((q.start / WIDEST, q.start * WIDEST))
+            ends = sorted((q.start / UNBOUNDED_FACTOR, q.start * UNBOUNDED_FACTOR))
             low, high = max(low, ends[0]), min(high, ends[1])
         typical = abs(p.tried) if q.start == 0.0 else None
         parameters.append(Parameter(with_place(q.name), q.start, q.unit, q.doc, (low, high), typical=typical))

@@ -26,7 +26,7 @@ from cosim.isolation.process import Worker
 from cosim.logs.log import Log
 from cosim.model.quantities import Parameter, Quantity, parameters_of
 from cosim.model.traits import Traits
-from cosim.residuals.drive import MODULES
+from cosim.residuals.drive import REPLAY_MODULES
 from cosim.residuals.windows import Replay
 
 Predict = Callable[[Mapping[str, Rows]], NamedArrays]  # ignored readings by output → one-step predictions of outputs
@@ -57,7 +57,7 @@ class Workplace(ExitStack):
     @cached_property
     def worker(self) -> Worker | None:
         """Return the worker process of the FMUs; None if FMUs are loaded into this process."""
-        return None if self.in_process else self.enter_context(Worker(*MODULES))
+        return None if self.in_process else self.enter_context(Worker(*REPLAY_MODULES))
 
 
 class Replayer(Protocol):

@@ -31,7 +31,7 @@ from cosim.model.traits import Traits
 from cosim.residuals.drive import drive_in
 from cosim.residuals.windows import Replay, windows
 
-FILES = {"refined": REFINED, "nearest": NEAREST}
+DELIVERED_FILES = {"refined": REFINED, "nearest": NEAREST}
 
 
 class ModelSubject(Subject):
@@ -149,13 +149,13 @@ class ModelSubject(Subject):
 
     def write(self, scratch: Path, folder: Path, name: str) -> Sequence[Path]:
         """Write model.yaml and plant.fmu, or nearest.yaml and nearest.fmu."""
-        yaml, fmu = (scratch / file for file in FILES[name])
+        yaml, fmu = (scratch / file for file in DELIVERED_FILES[name])
         write_model(yaml, self.loaded, folder)
         return yaml, Path(copyfile(self._built(scratch), fmu))
 
     def use(self, folder: Path, name: Literal["refined", "nearest"] = "refined") -> list[str]:
-        """Return a command line that simulates the FMU."""
-        return ["cosim", "simulate", str(folder / FILES[name][1])]
+        """Return a command line for the FMU."""
+        return ["cosim", "simulate", str(folder / DELIVERED_FILES[name][1])]
 
 
 def new_fmu(folder: Path) -> Path:

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from cosim.fmi.native.package import Native, NativeFmu
 
 Made = TypeVar("Made")
-PLANT = "plant.fmu"
+PLANT_FMU = "plant.fmu"
 SUFFIX = {2: "-native.fmu", 3: "-native-fmi3.fmu"}
 
 
@@ -78,7 +78,7 @@ def build(
     if entry is not None and entry.built and model in (None, entry.name):
         recipes, places = {}, dict(entry.built)
     else:
-        recipes, every = {PLANT: loaded.recipe()}, entry.beside if entry else {}
+        recipes, every = {PLANT_FMU: loaded.recipe()}, entry.beside if entry else {}
         places = {name: place for name, place in every.items() if name in starts or is_model(loaded.source)}
     for name, place in places.items():
         recipe: Recipe = resolve(place)()

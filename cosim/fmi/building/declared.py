@@ -32,7 +32,7 @@ from cosim.model.quantities import Quantity, parameters_of
 from cosim.model.sensors import LeverArm, SensorError
 from cosim.model.symbolic.symbols import symbolic
 
-FUNCTIONS = ", ".join(f"m.{name}" for name in vars(Namespace) if not name.startswith("_"))
+NAMESPACE_FUNCTIONS = ", ".join(f"m.{name}" for name in vars(Namespace) if not name.startswith("_"))
 TRUTH_TEST = "truth value of"  # sympy's words for the truth test of a symbol
 FOREIGN = ("Cannot convert expression to float", "must be real number", "ufunc", "Namespace' object has no attribute")
 
@@ -73,7 +73,7 @@ class ModelText:
             where = "m.where(condition, then, otherwise) works on symbols too"
             cure = f"; do not use `if`, `max`, `min` or `and` on a number: {where}"
         elif isinstance(error, (TypeError, AttributeError)) and any(words in text for words in FOREIGN):
-            cure = f"; use functions of m: {FUNCTIONS}"
+            cure = f"; use functions of m: {NAMESPACE_FUNCTIONS}"
         name = f"{doing}: {type(error).__name__}: {text}".removesuffix(": ")
         return Fault(self.path, *self._raised_at(error), f"{name}{cure}")
 
@@ -87,8 +87,8 @@ class ModelText:
 
 
 Faults = Iterator[tuple[type, str, str]]  # class, declaration, message
-MAX_TOLERANCE = 2.0  # largest meaningful tolerance, as a share of the value
-SIGNALS = ("base_states", "inputs", "outputs")
+MAX_TOLERANCE = 2.0  # share of a value; larger tolerances are meaningless
+SIGNAL_ATTRIBUTES = ("base_states", "inputs", "outputs")
 
 
 def make_model(kind: type[Model], source: ModelText) -> Model:
@@ -154,7 +154,7 @@ def _value_faults(kind: type[Model]) -> Faults:
         positive += [(kind, attribute, f"the {attribute} of {n}", v, sys.float_info.max) for n, v in values]
     declared: list[tuple[Any, str, Any, str]] = []  # owner, attribute, quantity or parameter, and its name
     for owner in (kind, *kind.catalogue, *kind.sensors):
-        groups, prefix = (SIGNALS, "") if owner is kind else (("states", "memory"), f"{owner.name}.")
+        groups, prefix = (SIGNAL_ATTRIBUTES, "") if owner is kind else (("states", "memory"), f"{owner.name}.")
         declared += [(owner, group, q, q.name) for group in groups for q in getattr(owner, group)]
         declared += [(owner, p.name, p, prefix + p.name) for p in parameters_of(owner)]
     for owner, attribute, d, name in declared:
@@ -188,7 +188,7 @@ def _value_faults(kind: type[Model]) -> Faults:
 
 def _name_faults(kind: type[Model]) -> Faults:
     """Yield faults of names used twice, and of references to undefined names."""
-    states, inputs, outputs = ([q.name for q in getattr(kind, name)] for name in SIGNALS)
+    states, inputs, outputs = ([q.name for q in getattr(kind, name)] for name in SIGNAL_ATTRIBUTES)
     lists = {"base_states": states, "inputs": inputs, "outputs": outputs}
     lists |= {name: list(getattr(kind, name)) for name in ("forced", "calibrated", "measured")}
     for attribute, names in lists.items():

@@ -16,8 +16,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
 from pydantic import Field, ValidationError, ValidatorFunctionWrapHandler, WrapValidator
 
 from cosim.core.errors import Fault, InputError, NotExecuted, refuse
-from cosim.core.registry import BASE, is_model, model_entry, resolve
-from cosim.core.registry import MODELS as MODEL_GROUP
+from cosim.core.registry import BASE, MODELS_GROUP, is_model, model_entry, resolve
 from cosim.core.registry import names as registered_names
 from cosim.core.text import did_you_mean
 from cosim.files.artefact import CODE, MODEL, kind_by_keys
@@ -139,7 +138,7 @@ def load_model(text: str, folder: Path, named_in: YamlFile | None = None) -> Loa
                 raise
             raise refusal(folder, *(f.message for f in error.faults)) from None
     file, own, _ = text.rpartition(":") if ".py:" in text else (text, "", "")
-    path, registered = folder / file, registered_names(MODEL_GROUP)
+    path, registered = folder / file, registered_names(MODELS_GROUP)
     allowed = f"allowed: {', '.join(registered)}, a model.yaml, or FILE.py:Class of your own model"
     if not path.exists() or (named_in and not path.is_file()):
         raise refusal(path, f'no model "{text}"{did_you_mean(text, registered)}; {allowed}')

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from cosim.files.folders import content_of, newest_run
 
-ANSWER = "refine.json"
+REFINE_RECORD = "refine.json"
 REFINED = ("model.yaml", "plant.fmu")
 NEAREST = ("nearest.yaml", "nearest.fmu")
 
@@ -18,7 +18,7 @@ class NoNearest(ValueError):
 def folder_of(path: Path) -> Path | None:
     """Return the folder that `cosim refine` wrote, from its path or the path of a file in it; otherwise None."""
     folder = newest_run(path) if path.is_dir() else path.parent
-    return folder if path.exists() and (folder / ANSWER).is_file() else None
+    return folder if path.exists() and (folder / REFINE_RECORD).is_file() else None
 
 
 def refined_file(path: Path, *, nearest: bool = False) -> Path:
@@ -42,11 +42,11 @@ def refined_file(path: Path, *, nearest: bool = False) -> Path:
     kind = 1 if path.suffix == ".fmu" else 0
     if (folder / NEAREST[kind]).is_file():
         return folder / NEAREST[kind]
-    if content_of(folder / ANSWER).get("grade") == "claimed":
+    if content_of(folder / REFINE_RECORD).get("grade") == "claimed":
         return folder / REFINED[kind]
     raise NoNearest(f"{folder} has no {NEAREST[kind]}; refine its study again, or omit nearest")
 
 
 def names_refine(path: Path) -> bool:
     """Return True if a path is the result folder of `cosim refine` or its refine.json, but no other file in it."""
-    return path.name == ANSWER if path.is_file() else (newest_run(path) / ANSWER).is_file()
+    return path.name == REFINE_RECORD if path.is_file() else (newest_run(path) / REFINE_RECORD).is_file()

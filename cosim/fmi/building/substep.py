@@ -37,11 +37,11 @@ MAX_DEFAULT = 1.0  # largest |λ|·h of the default substep: R is within 2 % of 
 MAX_CHOSEN = 0.5  # |λ|·h of a chosen substep: R is within 0.05 % of exp(λh); fits may change λ
 MOST_SUBSTEPS = 100  # RK4 substeps per `rate`; a model that needs more is stiff
 LEAST_STIFF = 8  # implicit substeps per row
-FOLLOWED = 10.0  # |λ| times a row up to which the implicit method resolves a mode; faster modes must decay
-DEAD = 5.0  # -Re(λ) times a row; such a mode decays to 0.7 % within a row
-GROWTH = 1e-9  # amount by which |R| may exceed 1
-POINTS = 500  # points of a log at which eigenvalues are computed
-MAX_ROWS = 20_000  # rows of a log over which the model is simulated
+MAX_RESOLVED = 10.0  # |λ| times a row up to which the implicit method resolves a mode; faster modes decay within a row
+DECAYED_EIGENVALUE = 5.0  # -Re(λ) times a row after which a mode has decayed to 0.7 %
+GROWTH_TOLERANCE = 1e-9  # tolerance of |R| above 1
+EIGENVALUE_POINTS = 500  # of a log for computing eigenvalues
+MAX_LOG_ROWS = 20_000  # of a log for running the model
 
 
 @dataclass(frozen=True)
@@ -82,7 +82,7 @@ def with_substep(loaded: LoadedModel, logs: Sequence[RunLog] = ()) -> tuple[Load
         for mode, h in sorted(modes, key=lambda pair: -pair[0].speed * pair[1]):
             z = mode.eigenvalue * h
             growth = abs(1.0 + z * (1.0 + z / 2.0 * (1.0 + z / 3.0 * (1.0 + z / 4.0))))
-            if z.real < 0.0 and growth > 1.0 + GROWTH:
+            if z.real < 0.0 and growth > 1.0 + GROWTH_TOLERANCE:
                 reason = f"substep is {_ms(model.substep)}, unstable for this model: {mode}"
                 cure = f"use at most {_ms(MAX_DEFAULT / mode.speed)}, or omit substep, so that cosim chooses it"
                 message = f"{reason}, which RK4 amplifies in steps of {_ms(h)}; {cure}"
@@ -103,7 +103,7 @@ def with_substep(loaded: LoadedModel, logs: Sequence[RunLog] = ()) -> tuple[Load
         if mode.eigenvalue.real > 0.0:
             reason = f"{name} is unstable: {mode}, which grows"
             cure = "check its parameters, start values and the units of the log"
-        elif model.integrator == RK4 and mode.eigenvalue.real * model.rate <= -DEAD:
+        elif model.integrator == RK4 and mode.eigenvalue.real * model.rate <= -DECAYED_EIGENVALUE:
             cure = "set integrator = 'stiff', or omit it"
         raise InputError([text.fault(type(model), "", f"{reason}; {cure}")])
     else:
@@ -129,10 +129,10 @@ class _Fastest:
 
     def along(self, log: RunLog) -> StateMode:
         """Return the fastest mode of the model at points of a log."""
-        every = max(1, min(len(log.time), MAX_ROWS) // POINTS)
+        every = max(1, min(len(log.time), MAX_LOG_ROWS) // EIGENVALUE_POINTS)
         commands, model = command_rows(self.model, log), self.model
         stepper, fastest = Stepper(model), self.at_start()
-        for k, _, moment in islice(moments(stepper, log), 0, MAX_ROWS):
+        for k, _, moment in islice(moments(stepper, log), 0, MAX_LOG_ROWS):
             if k % every:
                 continue
             mode = self._at(moment.state, commands[k], moment.t, f"at t = {moment.t:.6g} s of {log.path.name}")
@@ -151,12 +151,12 @@ class _Fastest:
         """Return True if every mode that is too fast for RK4 decays within a row."""
         values = np.concatenate(self.eigenvalues)
         fast = values[self.model.rate * np.abs(values) > MOST_SUBSTEPS * MAX_CHOSEN]
-        return bool(np.all(-self.row * fast.real >= DEAD))
+        return bool(np.all(-self.row * fast.real >= DECAYED_EIGENVALUE))
 
     def stiff_substep(self) -> float:
         """Return the longest accurate implicit substep [s]."""
         z = self.row * np.abs(np.concatenate([np.zeros(1), *self.eigenvalues]))
-        return self.row / max(LEAST_STIFF, math.ceil(float(z[z <= FOLLOWED].max()) / MAX_CHOSEN))
+        return self.row / max(LEAST_STIFF, math.ceil(float(z[z <= MAX_RESOLVED].max()) / MAX_CHOSEN))
 
     def _at(self, state: Values, command: Values, t: float, place: str) -> StateMode:
         """Return the fastest mode at a point, with the state of the largest participation.

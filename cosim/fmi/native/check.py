@@ -25,8 +25,8 @@ from cosim.model.symbolic.blocks import function
 from cosim.model.symbolic.languages import Python
 from cosim.model.symbolic.trace import Trace, UnprintableModel
 
-TOLERANCE = 1e-9  # tolerance of a difference, relative to max(1, |value|)
-POINTS, TRIES = 6, 18  # compared points per case, and draws in case Python gives no number at a point
+PEER_TOLERANCE = 1e-9  # of max(1, |value|)
+POINTS, TRIES = 6, 18  # points per case, and draws if Python gives no number
 DECIDED = (
     "the equations contain a decision that symbols cannot express (a look-up in a dictionary, int() or a branch on a "
     "number): use m.where"
@@ -113,7 +113,7 @@ class Check:
             except (ArithmeticError, ValueError, TypeError):  # The model has no real value at this point.
                 continue
             for (quantity, hook, value), other in zip(python, generated, strict=True):
-                if math.isfinite(value) and not abs(value - other) <= TOLERANCE * max(1.0, abs(value)):
+                if math.isfinite(value) and not abs(value - other) <= PEER_TOLERANCE * max(1.0, abs(value)):
                     return quantity, hook, value, other
             count += 1
             if count == POINTS:

@@ -24,11 +24,11 @@ from cosim.files.cache import cache_environment, cache_path
 
 # -fno-math-errno: errno after sin and pow is never read
 OPTIONS = ("-std=c99", "-O3", "-fno-math-errno", "-ffp-contract=off", "-shared")
-POSITION = [] if sys.platform == "win32" else ["-fPIC"]  # compiler option for libraries
-LIMIT = 900.0  # time limit of the compiler [s]
+POSITION = [] if sys.platform == "win32" else ["-fPIC"]  # option for code of libraries on this machine
+COMPILER_TIMEOUT_S = 900.0  # time limit of the compiler [s]
 ZIG = "ziglang"  # C compiler for every platform, on PyPI
-# first bytes of libraries whose function names can be searched as text (Linux, Windows), and cannot (macOS)
-PLAIN, PACKED = (b"\x7fELF", b"MZ"), (b"\xcf\xfa\xed\xfe", b"\xca\xfe\xba\xbe")
+# library headers with plain names: Linux, Windows; with packed names: macOS
+UNPACKED_NAMES, PACKED_NAMES = (b"\x7fELF", b"MZ"), (b"\xcf\xfa\xed\xfe", b"\xca\xfe\xba\xbe")
 
 
 @dataclass(frozen=True)
@@ -166,7 +166,7 @@ def library_of(
     exports: Sequence[str] = (),
     *,
     libraries: Sequence[str] = ("-lm",),
-    limit: float = LIMIT,
+    limit: float = COMPILER_TIMEOUT_S,
 ) -> Path:
     """Return the cached path of a compiled shared library.
 
@@ -229,10 +229,10 @@ def library_of(
 
 
 def _missing_exports(library: bytes, exports: Sequence[str]) -> list[str]:
-    """Return the required functions that are not in a library."""
-    if library.startswith(PACKED):  # names are stored in parts and cannot be searched
+    """Return the required functions that a library lacks."""
+    if library.startswith(PACKED_NAMES):  # names are stored as a tree of parts
         return []
-    return [name for name in exports if not library.startswith(PLAIN) or name.encode() + b"\0" not in library]
+    return [name for name in exports if not library.startswith(UNPACKED_NAMES) or name.encode() + b"\0" not in library]
 
 
 def load_library(source: str, *headers: Path) -> ctypes.CDLL:

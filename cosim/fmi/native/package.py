@@ -20,7 +20,7 @@ from cosim.fmi.native.printing import ModelPrinter, variable_tables
 from cosim.fmi.ports import Port
 from cosim.model.model import Model
 
-LOG = {
+LOG_CATEGORIES = {
     "logStatusWarning": "conditions outside the model's range of validity",
     "logStatusError": "reasons for rejected calls",
 }
@@ -33,8 +33,8 @@ class Native:
     Value references number the ports of `about` first, then the variables in `locals`.
 
     Attributes:
-        body: Generated C code, which `model.c` contains after the tables of variables.
-        sizes: Definitions for `config.h` in addition to the numbers of variables. Absent names of `SIZES` are 0.
+        body: Generated C code, which follows the tables of variables in `model.c`.
+        sizes: Definitions of `config.h` beside the numbers of variables; those of `SIZE_MACROS` are 0 by default.
         parts: C files included after `model.c`.
         text: Documentation in HTML.
         locals: Variables for states, then their derivatives in the same order, memory, event indicators.
@@ -51,9 +51,9 @@ class Native:
     dependencies: Mapping[str, Sequence[str]] = field(default_factory=dict)
 
 
-SIZES = ("STATES", "MEMORIES", "KINKS", "RANGES", "EFFECTS", "OWN", "EXCHANGE")
+SIZE_MACROS = ("STATES", "MEMORIES", "KINKS", "RANGES", "EFFECTS", "OWN", "EXCHANGE")
 FOLDER = Path(__file__).resolve().parent
-COMMON = ("floating.h", "near.h", "rk4.h", "stiff.h", "model.h", "instance.c", "fmi.c")
+COMMON_SOURCES = ("floating.h", "near.h", "rk4.h", "stiff.h", "model.h", "instance.c", "fmi.c")
 EXPORTS = {
     2: ("fmi2Instantiate", "fmi2DoStep", "fmi2GetReal"),
     3: ("fmi3InstantiateCoSimulation", "fmi3DoStep", "fmi3GetFloat64"),
@@ -155,13 +155,13 @@ def build_native(native: Native, path: Path, fmi: int = 2, platforms: Sequence[s
     interfaces["CoSimulation"] = common | {"canHandleVariableCommunicationStepSize": any_step}
 
     def description(guid: str) -> bytes:
-        head = native.about, native.name, f"{TOOL} {__version__}", guid, interfaces, LOG
+        head = native.about, native.name, f"{TOOL} {__version__}", guid, interfaces, LOG_CATEGORIES
         return describe(*head, fmi=fmi, locals=native.locals, dependencies=native.dependencies)
 
     tables, texts = variable_tables(native.about.ports)
     causalities = Counter(port.causality for port in native.about.ports)
     sizes = {"VARIABLES": len(native.about.ports), "TEXTS": texts}
-    sizes |= {"INPUTS": causalities["input"], "OUTPUTS": causalities["output"], **dict.fromkeys(SIZES, 0)}
+    sizes |= {"INPUTS": causalities["input"], "OUTPUTS": causalities["output"], **dict.fromkeys(SIZE_MACROS, 0)}
 
     def config(guid: str) -> bytes:
         defined = {**sizes, **native.sizes, "MODEL_GUID": f'"{guid}"'}
@@ -172,7 +172,7 @@ def build_native(native: Native, path: Path, fmi: int = 2, platforms: Sequence[s
         "all.c": (head + "".join(f'#include "{name}"\n' for name in order)).encode(),
         "model.c": f'#include "model.h"\n\n{tables}\n{native.body}'.encode(),
         **native.parts,
-        **{name: part(name) for name in (*COMMON, layer)},
+        **{name: part(name) for name in (*COMMON_SOURCES, layer)},
         **{file.name: file.read_text(encoding="utf-8").encode() for file in headers},  # lines end with LF
         "config.h": config(""),
     }

@@ -13,8 +13,8 @@ from cosim.fmi.native.package import Native, build_native, part
 from cosim.fmi.native.printing import table
 from cosim.fmi.ports import Port
 
-ALWAYS = -1e300  # time [s] before any simulation
-TEXT = "<p>Outputs that are functions of time or of one input.</p>"
+ALWAYS = -1e300  # before any time [s]
+DOCUMENTATION = "<p>Outputs that are functions of time or of one input.</p>"
 
 
 @dataclass(frozen=True)
@@ -85,4 +85,4 @@ def build_gain(name: str, linear: tuple[float, float], units: tuple[str, str], p
 def _build(name: str, about: Description, body: str, file: str, path: Path) -> Path:
     parts = {each: part(each) for each in (file, "stateless.c", "steps_only.c")}
     identifier = re.sub(r"[^A-Za-z0-9_]", "_", name)
-    return build_native(Native(identifier, about, body, {}, parts, TEXT), path).path
+    return build_native(Native(identifier, about, body, {}, parts, DOCUMENTATION), path).path

@@ -15,7 +15,8 @@ from xml.etree import ElementTree
 from cosim.core.drafts import draft_of
 from cosim.core.units import unit_definitions
 from cosim.files.archive import DESCRIPTION, description_of
-from cosim.fmi.description import REALS, read_description, scalars, states_of, takes_any_step
+from cosim.fmi.description import read_description, scalars, states_of, takes_any_step
+from cosim.fmi.fmi_types import DOUBLE_TYPES
 from cosim.fmi.fmu_build import archive_member, digest
 from cosim.fmi.model_description import set_unit_and_limits
 from cosim.fmi.native.compiler import (
@@ -33,12 +34,14 @@ from cosim.terms.code import TermCode
 
 TYPEDEF = re.compile(r"typedef\s+([^;()]*?)\b(fmi[23]\w+)TYPE\s*\(([^;]*?)\)\s*;", re.DOTALL)
 COMMENT = re.compile(r"/\*.*?\*/", re.DOTALL)
-PARAMETER = re.compile(r"(?P<type>.*?[\s*])?(?P<name>\w+)\s*(?P<array>\[\])?", re.DOTALL)
-# FMI functions, without prefix, that are hand-written in C; all others are forwarded
-WRITTEN = re.compile(r"^(?:DERIVATIVE\(|(?!static|typedef)[\w ]+[ *](?:fmi\d|FMI\())(\w+)\)?[(\n]", re.MULTILINE)
-# functions that do not need current inputs; pending inputs are not sent before their calls
+C_PARAMETER = re.compile(r"(?P<type>.*?[\s*])?(?P<name>\w+)\s*(?P<array>\[\])?", re.DOTALL)
+# FMI functions that are hand-written in C, without prefix; the others are forwarded
+HANDWRITTEN_FUNCTION = re.compile(
+    r"^(?:DERIVATIVE\(|(?!static|typedef)[\w ]+[ *](?:fmi\d|FMI\())(\w+)\)?[(\n]", re.MULTILINE
+)
+# functions that do not need current inputs, so pending inputs are not sent before them
 UNRELATED = ("Set", "Cancel", "Terminate", "EnterConfigurationMode", "ExitConfigurationMode")
-HEAD = "/* Generated from FMI's headers. */"
+GENERATED_COMMENT = "/* Generated from FMI's headers. */"
 
 
 # -- C code that forwards FMI functions, from FMI's own headers ---------------------------------------
@@ -49,7 +52,7 @@ def function_table(header: str) -> str:
     names = [name for _, name, _ in TYPEDEF.findall(COMMENT.sub("", header))]
     table = [f"    {name}TYPE *{name[4:]};" for name in names]
     symbols = [f'    {{"{name}", offsetof(Functions, {name[4:]})}},' for name in names]
-    head = [HEAD, "typedef struct {", *table, "} Functions;", ""]
+    head = [GENERATED_COMMENT, "typedef struct {", *table, "} Functions;", ""]
     head += ["static const struct {", "    const char *name;", "    size_t place;", "} SYMBOLS[] = {"]
     return "\n".join([*head, *symbols, "};", ""])
 
@@ -59,14 +62,14 @@ def forwarding_code(header: str, wrapper: str) -> str:
 
     Pending inputs are sent to the original before a value is read from it.
     """
-    functions, written = [HEAD], {name.lower() for name in WRITTEN.findall(wrapper)}
+    functions, written = [GENERATED_COMMENT], {name.lower() for name in HANDWRITTEN_FUNCTION.findall(wrapper)}
     for result, name, text in TYPEDEF.findall(COMMENT.sub("", header)):
         plain = name[4:]
         if plain.lower() in written:
             continue
         parameters: list[str] = []
         for part in map(str.strip, text.split(",")):
-            match = PARAMETER.fullmatch(part)
+            match = C_PARAMETER.fullmatch(part)
             if match is None or part == "void":
                 continue
             is_named = match["type"] is not None and match["type"].strip() not in ("", "const")
@@ -82,7 +85,7 @@ def forwarding_code(header: str, wrapper: str) -> str:
 
 # -- the model description: that of the original with the parameters of the terms ---------------------
 
-INTERFACES = ("ModelExchange", "CoSimulation", "ScheduledExecution")
+INTERFACE_TAGS = ("ModelExchange", "CoSimulation", "ScheduledExecution")
 SLOPES = ("providesDirectionalDerivative", "providesDirectionalDerivatives", "providesAdjointDerivatives")
 INPUT_SLOPES = ("canInterpolateInputs", "recommendedIntermediateInputSmoothness")
 OUTPUT_SLOPES = ("maxOutputDerivativeOrder",)
@@ -145,7 +148,7 @@ def describe_wrapped(
     if "readings" in terms.hooks:
         lost += OUTPUT_SLOPES
     interfaces = []
-    for interface in [node for node in root if node.tag in INTERFACES]:
+    for interface in [node for node in root if node.tag in INTERFACE_TAGS]:
         if interface.tag not in kept:
             root.remove(interface)
             continue
@@ -188,10 +191,11 @@ def describe_wrapped(
 # -- the archive ----------------------------------------------------------------------------------------
 
 FOLDER = Path(__file__).resolve().parent
-ORIGINAL = "resources/original/"  # folder with the whole original inside the wrapped FMU
-WRAPPER = "resources/wrapper/"  # folder with the C code of the wrapper
-KEPT = ("documentation/", "terminalsAndIcons/", "extra/", "model.png")  # also in their usual place
-FLAGS = {"SHAPES": "shape_all", "PORTS": "port_inputs", "RATES": "added_rates", "READS": "readings"}
+ORIGINAL = "resources/original/"  # the whole original inside the wrapped FMU
+WRAPPER = "resources/wrapper/"  # the C code of the wrapper
+# members that are also in their own place
+COPIED_MEMBERS = ("documentation/", "terminalsAndIcons/", "extra/", "model.png")
+HOOK_MACROS = {"SHAPES": "shape_all", "PORTS": "port_inputs", "RATES": "added_rates", "READS": "readings"}
 
 
 def wrap(
@@ -253,7 +257,7 @@ def wrap(
                 new.writestr(archive_member(name), members[name])
             for member in old.infolist():
                 _copy(old, member, new, ORIGINAL + member.filename)
-                if member.filename.startswith(KEPT):
+                if member.filename.startswith(COPIED_MEMBERS):
                     _copy(old, member, new, member.filename)
     return left_out
 
@@ -312,7 +316,7 @@ def _config(
         for k, reference in enumerate(found):
             places.setdefault(reference, {})[role] = k
     for v in about.modelVariables:
-        if v.shape and v.type in REALS:
+        if v.shape and v.type in DOUBLE_TYPES:
             places.setdefault(int(v.valueReference), {})["size"] = prod(v.shape)
     absent = {"input": -1, "output": -1, "rate": -1, "own": -1, "size": 1}
     rows = [f"{{{r}u, {', '.join(map(str, (absent | there).values()))}}}" for r, there in sorted(places.items())]
@@ -331,7 +335,7 @@ def _config(
         "DELAY": f"({names.index(terms.delay) if terms.delay else -1})",
         "SUBSTEP": number(substep),
         "ANY_STEP": int(takes_any_step(about) and not may_pend),  # a pending step continues in the background
-        **{flag: int(hook in terms.hooks) for flag, hook in FLAGS.items()},
+        **{flag: int(hook in terms.hooks) for flag, hook in HOOK_MACROS.items()},
     }
     whole = {
         "INPUT_REFERENCE": roles["input"],

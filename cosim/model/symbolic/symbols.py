@@ -19,7 +19,7 @@ REMAINDER = (
     "has jumps that a solver cannot detect; use m.where, for example m.where(angle > limit, angle - 2 * limit, angle)"
 )
 EQUALITIES = {"__eq__": "==", "__ne__": "!="}
-SIGNS = {**EQUALITIES, "__mod__": "%", "__rmod__": "%", "__floordiv__": "//", "__rfloordiv__": "//"}
+OPERATOR_SIGNS = {**EQUALITIES, "__mod__": "%", "__rmod__": "%", "__floordiv__": "//", "__rfloordiv__": "//"}
 VARYING = ("state:", "input:")  # prefixes of symbol names
 
 
@@ -207,13 +207,15 @@ def number_guard(*, smooth: bool = False) -> Iterator[None]:
                     symbols = {s for s in symbols | sympy.sympify(b).free_symbols if s.name.startswith(VARYING)}
                 if symbols:
                     first, second = (b, a) if name.startswith("__r") else (a, b)
-                    text = f"{first} {SIGNS[name]} {second}".replace("state:", "").replace("input:", "")
+                    text = f"{first} {OPERATOR_SIGNS[name]} {second}".replace("state:", "").replace("input:", "")
                     raise OfNumbersOnly(f"{text} {EQUALITY if is_equality else REMAINDER}")
             return plain(a, b)
 
         return operator
 
-    operators = [(k, name, vars(k)[name]) for k in sympy.Symbol.__mro__[:-1] for name in SIGNS if name in vars(k)]
+    operators = [
+        (k, name, vars(k)[name]) for k in sympy.Symbol.__mro__[:-1] for name in OPERATOR_SIGNS if name in vars(k)
+    ]
     try:
         for kind, name, plain in operators:
             setattr(kind, name, guard(plain, name))

@@ -16,6 +16,7 @@ from cosim.core.arrays import Array, NamedValues, Rows
 from cosim.core.errors import FmuError, SimulationError
 from cosim.core.linear_algebra import least_squares
 from cosim.core.text import counted, join_names, plain
+from cosim.credibility.bands import FREE_RUN_PARTS
 from cosim.estimation.data import count_unscored, lagged_table
 from cosim.estimation.fit import Fit, fit, fit_for_held_out, inverse, slopes, with_flat_directions
 from cosim.estimation.kernel.kernel import Data
@@ -23,7 +24,7 @@ from cosim.estimation.parallel import in_parallel, raise_if_cancelled
 from cosim.estimation.posing import halve_log
 from cosim.estimation.problem import Problem, Scored
 from cosim.estimation.subject.candidates import (
-    WIDTHS,
+    SIGMAS_PER_TOLERANCE,
     Candidate,
     Free,
     kind_within,
@@ -47,12 +48,11 @@ from cosim.refinement.decision.posterior import (
     posterior,
 )
 from cosim.refinement.search.fits import SCREEN_ITERATIONS, Hypothesis, Search
-from cosim.refinement.search.missing import MOST_ROWS
+from cosim.refinement.search.missing import MAX_SMOOTHED_ROWS
 from cosim.refinement.search.unnamed import Leftover
 from cosim.residuals.residual_statistics import remaining_excess
 from cosim.terms.catalogue import contains
 
-PARTS = 8  # parts of a free run, each counted as one replay
 COMPARED = 5  # classes of which equivalences are sought
 
 
@@ -108,7 +108,7 @@ def prior_of(search: Search, h: Hypothesis, f: Free) -> Parameter:
     if f.name in {p.name for p in subject.parameters}:
         p, stated = subject.declared[f.name], problem.settings.tolerance
         tolerance = stated.get(f.name, TRIAL_TOLERANCE if p.tolerance is None else p.tolerance)
-        width = WIDTHS * spread_of_base(p, given, tolerance) / MIXTURE[0]
+        width = SIGMAS_PER_TOLERANCE * spread_of_base(p, given, tolerance) / MIXTURE[0]
         return Parameter(f.name, part, value, given, width, is_size=True, low=low, high=f.high)
     centre = f.neutral if f.neutral is not None and part not in subject.present else given
     return Parameter(f.name, part, value, centre, f.size, is_size=f.neutral is not None, low=low, high=f.high)
@@ -285,7 +285,7 @@ def misfit_of(
 #
 
 
-BLOCKS = 20  # blocks of time of a study
+TIME_BLOCKS = 20  # blocks of time of a study
 
 
 def blocks_of_time(rows: Sequence[Rows]) -> tuple[Rows, Rows]:
@@ -297,7 +297,7 @@ def blocks_of_time(rows: Sequence[Rows]) -> tuple[Rows, Rows]:
     lengths = [int(np.ptp(r)) + 1 if r.size else 0 for r in rows]
     numbers, logs = [], list[int]()
     for log, (r, length) in enumerate(zip(rows, lengths, strict=True)):
-        parts = max(1, round(BLOCKS * length / sum(lengths)))
+        parts = max(1, round(TIME_BLOCKS * length / sum(lengths)))
         numbers.append(len(logs) + (r - r[:1]) * parts // max(1, length))
         logs += [log] * parts
     return np.concatenate(numbers), np.array(logs)
@@ -389,7 +389,7 @@ def replay_errors(problem: Problem, horizon: float, f: Fit, index: int) -> Array
     raise_if_cancelled()
     data, first = problem.data(f.values, index), count_unscored(problem.logs[index])
     every = len(data.u)
-    length = every // PARTS if math.isinf(horizon) else round(horizon / data.step)
+    length = every // FREE_RUN_PARTS if math.isinf(horizon) else round(horizon / data.step)
     length = max(2, min(length, (every - first) // 2))
     run = problem.run(f.values, f.noise, index)
     rows = range(first, every - length, length)
@@ -515,7 +515,7 @@ def _is_imitated(search: Search, truth: Hypothesis, adapted: Hypothesis, times: 
         return False
     start, free = given | _enlarged(adapted, problem, times), search.free(adapted.candidates)
     names, begin = [f.name for f in free], np.array([start[f.name] for f in free])
-    most = np.array([WIDTHS * f.prior[1] if f.prior else np.inf for f in free])
+    most = np.array([SIGMAS_PER_TOLERANCE * f.prior[1] if f.prior else np.inf for f in free])
     low, high = (np.array([getattr(f, limit) for f in free]) for limit in ("low", "high"))
     low, high = np.maximum(low, np.minimum(begin, high) - most), np.minimum(high, np.maximum(begin, low) + most)
 
@@ -551,7 +551,7 @@ def _exciting(problem: Problem, times: float, *, both_signs: bool) -> Data:
         times: Factor on the ranges.
         both_signs: Let inputs with one sign have the other one, too, since a threshold at zero shows there only.
     """
-    first = problem.logs[0].rows(0, MOST_ROWS)
+    first = problem.logs[0].rows(0, MAX_SMOOTHED_ROWS)
     rng, rows = np.random.default_rng(0), len(first.u)
     u = np.empty_like(first.u)
     for k in range(u.shape[1]):

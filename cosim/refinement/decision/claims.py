@@ -13,10 +13,10 @@ from typing import Any, Literal
 import numpy as np
 
 from cosim.core.arrays import NamedValues
-from cosim.core.text import MOST_NAMED, amount, append_unit, finer, join_names, percent, plain, written
+from cosim.core.text import MAX_NAMED, amount, append_unit, finer, join_names, percent, plain, written
 from cosim.estimation.fit import Fit
 from cosim.estimation.problem import Problem
-from cosim.estimation.subject.candidates import WIDTHS, Candidate, Free, kind_within
+from cosim.estimation.subject.candidates import SIGMAS_PER_TOLERANCE, Candidate, Free, kind_within
 from cosim.estimation.subject.interface import Subject
 from cosim.logs.log import NORMAL_95
 from cosim.refinement.decision.bundle import (
@@ -63,8 +63,8 @@ from cosim.residuals.residual_statistics import COUNTS_FROM
 
 DEFAULT_EXPERIMENT = "larger and broader commands on all inputs, one at a time and together"
 NO_EFFECT = "no_effect"
-NOTHING = "Nothing is missing: the recalibrated model explains these logs down to sensor noise."
-DISTURBED = "Nothing is missing: the remaining error is a disturbance that follows no signal."
+NOTHING_MISSING = "Nothing is missing: the model, recalibrated, explains these logs down to the sensors' noise."
+DISTURBED = "Nothing is missing: what the model does not explain is a disturbance that follows no signal."
 OPENINGS = {"effect": "the model lacks", "parameter": "the model has a wrong", "sensor": "the sensors have"}
 
 
@@ -165,13 +165,13 @@ def _answer_texts(c: Claims, subject: Subject) -> Iterator[str]:
         yield f"An experiment that may decide: {c.experiment}." if c.experiment else ""
     elif c.name == NO_EFFECT:
         sizes = [f"{percent(share)} of the derivative of {name}" for name, share in c.moves.items()]
-        yield f"{DISTURBED} Its size: {join_names(sizes)}." if sizes else NOTHING
+        yield f"{DISTURBED} Its size: {join_names(sizes)}." if sizes else NOTHING_MISSING
         if c.hidden:
             yield f"These logs have too little excitation to detect {join_names(c.hidden)}."
         moved = [
             f"{f.name} {plain(f.prior[0])} → {plain(c.base.fit.values[f.name])}"
             for f in c.base.fit.free
-            if f.prior and abs(c.base.fit.values[f.name] - f.prior[0]) > WIDTHS * f.prior[1]
+            if f.prior and abs(c.base.fit.values[f.name] - f.prior[0]) > SIGMAS_PER_TOLERANCE * f.prior[1]
         ]
         if moved:
             yield f"This requires base parameters outside their tolerances: {join_names(moved)}."
@@ -196,7 +196,7 @@ def _joined(first: str, second: str) -> str:
 def _claim_texts(c: Claims, best: Hypothesis, subject: Subject) -> list[str]:
     """Return sentences on claimed candidates with values and intervals."""
     values = {k.name: [_estimate_text(best, f, subject) for f in k.free] for k in c.claimed_candidates}
-    is_long = sum(map(len, values.values())) > MOST_NAMED
+    is_long = sum(map(len, values.values())) > MAX_NAMED
     parts = []
     for kind, opening in OPENINGS.items():
         names = [k.name for k in c.claimed_candidates if kind_within(k, subject) == kind]
@@ -364,7 +364,7 @@ def floor_warning(part: str, channels: Mapping[str, tuple[float, float]], subjec
 # From the hypotheses of a search to claims: bundle, lack of fit, decision, and what is delivered.
 
 
-SHOWN = 3  # classes on the ladder of predictions
+MAX_LADDER_CLASSES = 3  # classes on the ladder of predictions
 TESTS = 2  # of the fit: for terms without a name, and for parameters that change
 
 
@@ -414,7 +414,7 @@ def claims_of(study: Study, search: Search, progress: Progress) -> Claims:
     delivered = _delivered(decision, [h for h, _ in tried])
     if claimed is None or delivered is None or delivered.key != claimed.key:
         claimed = with_intervals(search, delivered) if delivered else None
-    shown = [search.tried[parts] for parts in [*decision.classes][:SHOWN] if parts]
+    shown = [search.tried[parts] for parts in [*decision.classes][:MAX_LADDER_CLASSES] if parts]
     every = {h.key: h for h in [*shown, *([claimed] if claimed else [])]}
     models = (None, base, *sorted(every.values(), key=lambda h: len(h.names)))
     ladder = [(h, held_out_errors(search, h, base.fit)) for h in models]  # by fits to the other logs

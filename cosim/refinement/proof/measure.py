@@ -24,19 +24,27 @@ from cosim.core.arrays import Array, Flags, NamedValues, Rows
 from cosim.core.errors import InputError, SimulationError
 from cosim.core.linear_algebra import square_roots
 from cosim.core.text import plain
-from cosim.credibility.bands import LEAST_ROWS, Coverage, Track, band_horizons, bands_of, coverage_of, track_of
+from cosim.credibility.bands import (
+    FREE_RUN_PARTS,
+    LEAST_ROWS,
+    Coverage,
+    Track,
+    band_horizons,
+    bands_of,
+    coverage_of,
+    track_of,
+)
 from cosim.credibility.record import Correlations, Credibility, ParameterRecord
 from cosim.estimation.data import past_reading, replayed
 from cosim.estimation.fit import Fit, expected_values, group_values, inverse
-from cosim.estimation.kernel.kernel import MEMORY as LASTS
-from cosim.estimation.kernel.kernel import Begin, simulate_all
+from cosim.estimation.kernel.kernel import CORRELATION_TIME, Begin, simulate_all
 from cosim.estimation.posing import with_likely_starts, with_logs
 from cosim.estimation.problem import Noise, Problem
 from cosim.estimation.subject.candidates import own
 from cosim.estimation.subject.interface import Replayer, Start, Subject, Workplace
 from cosim.logs.log import Log
 from cosim.model.namespaces import arrays
-from cosim.refinement.decision.bundle import PARTS, fits_without_each_log
+from cosim.refinement.decision.bundle import fits_without_each_log
 from cosim.refinement.search.fits import Hypothesis, Search
 from cosim.residuals.drive import drive_in
 from cosim.residuals.log_region import log_records, region_of_logs, rows_inside
@@ -44,9 +52,9 @@ from cosim.residuals.residual_statistics import FREE_RUN, pool_errors, remaining
 from cosim.residuals.windows import SKIPPED, Replay, window_rows
 
 FLOOR_SEED = 20121
-DRAWS = 20
-CHANCE = 0.01  # probability of a false alarm for a rise on any channel
-EQUAL = 1e-9  # largest difference of fast replays from those of the delivered object, relative to max(1, largest value)
+FLOOR_DRAWS = 20
+FALSE_ALARM_RATE = 0.01  # probability of a false alarm for a rise on any channel
+MAX_REPLAY_DIFFERENCE = 1e-9  # of fast replays from those of the delivered object, relative to max(1, largest value)
 
 OTHER_HORIZONS: Mapping[Literal["0.5 s", "free run"], float] = {"0.5 s": 0.5, "free run": FREE_RUN}
 
@@ -248,7 +256,7 @@ class LogReplays:
             density = problem.densities(noise)[list(layout.noisy)]
             kicks = np.zeros((len(data.u), len(layout.states)))
             kicks[:, layout.noise_places] = rng.standard_normal((len(data.u), noisy)) * np.sqrt(density * data.step)
-            memory = {LASTS: math.exp(noise.memory)}
+            memory = {CORRELATION_TIME: math.exp(noise.memory)}
             with np.errstate(invalid="ignore"):  # where both diverge
                 errors += self._simulate({**self.variant.values, **memory}, starts, kicks) - self.predicted
         errors = np.where(np.isnan(data.y), np.nan, errors) / self.gains
@@ -330,7 +338,7 @@ def noise_floor(variant: Variant, problem: Problem, logs: Sequence[Log], rng: np
     covariance, and so stays near the motion of the log. A floor above the standard deviation of its channel is omitted.
     """
     problem = begin_replays(variant, problem, logs)
-    draws: list[list[dict[str, Array]]] = [[] for _ in range(-(-DRAWS // len(logs)))]
+    draws: list[list[dict[str, Array]]] = [[] for _ in range(-(-FLOOR_DRAWS // len(logs)))]
     for index, log in enumerate(logs):
         replays = LogReplays(variant, problem, log, index)
         for draw in draws:
@@ -371,7 +379,7 @@ def find_rises(before: ReplayedLogs, after: ReplayedLogs) -> dict[str, tuple[flo
     rises = {
         name: (old[name], new[name])
         for name in old.keys() & new.keys()
-        if new[name] > old[name] and is_significant_rise(_log_ratios(before, after, name), CHANCE / len(old))
+        if new[name] > old[name] and is_significant_rise(_log_ratios(before, after, name), FALSE_ALARM_RATE / len(old))
     }
     return dict(sorted(rises.items(), key=lambda item: item[1][0] / item[1][1]))  # largest ratio first
 
@@ -403,7 +411,7 @@ def _log_ratios(before: ReplayedLogs, after: ReplayedLogs, name: str) -> list[fl
         both = np.isfinite(a) & np.isfinite(b)
         edges = [*(k + 1 for k in sorted(first.starts)), log.rows]  # a start row belongs to the previous replay
         if math.isinf(first.horizon):
-            edges = [round(k * log.rows / PARTS) for k in range(PARTS + 1)]
+            edges = [round(k * log.rows / FREE_RUN_PARTS) for k in range(FREE_RUN_PARTS + 1)]
         parts = [slice(x, y) for x, y in pairwise(edges)]
         sums = [(float(a[p][both[p]].sum()), float(b[p][both[p]].sum())) for p in parts]
         ratios += [math.log(y / x) for x, y in sums if 0.0 < x < math.inf and 0.0 < y < math.inf]
@@ -463,7 +471,7 @@ def replay_variants(
     horizon, name = after.subject.horizon, log.path.name
     replay = replay_logs(after, own, problem, [log])[horizon][0][1]
     apart = difference(played["after"][part][horizon][k][1], replay)
-    if apart <= EQUAL:
+    if apart <= MAX_REPLAY_DIFFERENCE:
         return played, Replays(through=ways[id(after.subject)].through, log=name, apart=apart)
     why = f"replays of {name} through it and through plant.fmu are {plain(apart, 2)} apart"
     finite = apart if math.isfinite(apart) else None
@@ -485,7 +493,7 @@ def difference(one: Replay, other: Replay) -> float:
 # The record of credibility of a refined FMU: held-out replays of the estimation logs, and the region of these logs.
 
 
-FIRST = 0.25  # of the horizon of a model, the first interval of a band
+FIRST_BAND_INTERVAL = 0.25  # of the horizon of a model, the first interval of a band
 
 
 def credibility_of(
@@ -517,7 +525,7 @@ def credibility_of(
     free_run = {longest: FREE_RUN} if first == FREE_RUN or problem.layout.is_free_run else {}
     horizons = free_run  # the end of each interval of the bands → horizon of its replays
     if not problem.layout.is_free_run:  # else replays begin with a log only
-        first = FIRST * (longest / 10.0 if free_run else first)
+        first = FIRST_BAND_INTERVAL * (longest / 10.0 if free_run else first)
         first = max(first, LEAST_ROWS * max(log.step for log in logs))
         durations = [float(log.time[-1] - log.time[0]) - SKIPPED for log in logs]
         horizons = {h: h for h in band_horizons(durations, first)} | free_run

@@ -43,7 +43,7 @@ from cosim.refinement.proof.measure import Part, ReplayedLogs
 from cosim.refinement.refinement import Refinement
 from cosim.refinement.search.fits import Hypothesis
 from cosim.refinement.search.missing import (
-    MOST_ROWS,
+    MAX_SMOOTHED_ROWS,
     contributions,
     loosen_noise,
     outputs_along,
@@ -61,15 +61,15 @@ from cosim.residuals.windows import SKIPPED
 from cosim.scenario.scenario_file import sha256
 
 TEMPLATE = Path(__file__).with_name("templates") / "refine.html.j2"
-TONES: Mapping[str, str] = {"ambiguous": "warn", "unexplained": "bad"}  # of the other verdicts: good
+VERDICT_TONES: Mapping[str, str] = {"ambiguous": "warn", "unexplained": "bad"}  # of the other verdicts: good
 DISPERSED = 2.0  # dispersion κ from which the page says that no hypothesis fits
-INTERVALS = "Bar: 95 % interval; dashed line: value before. With only one log, intervals omit differences between logs."
-TOLERANCE = (
-    "± is the tolerance of the data sheet; a parameter is wrong only if its whole interval is outside the tolerance. "
-    "If all claims are sensor errors, the model keeps its values."
+INTERVALS = "Bar: 95 % interval; dashed line: the value before. Of one log, intervals do not show how logs differ."
+TOLERANCE_NOTE = (
+    "± is the tolerance of the data sheet; a parameter is wrong only if its whole interval lies outside the tolerance. "
+    "Beside sensor errors alone, the model keeps its values."
 )
 TableRows = list[dict[str, Any]]
-PARTS: Mapping[Part, str] = {"estimation": "Logs used for the fits", "validation": "Sealed logs"}
+PART_TITLES: Mapping[Part, str] = {"estimation": "Logs used for the fits", "validation": "Sealed logs"}
 
 
 def write_refine_report(path: Path, r: Refinement) -> None:
@@ -142,7 +142,7 @@ class Answer:
 def answer_of(r: Refinement) -> Answer:
     """Return the head of the page and of the terminal."""
     headline, details = split_sentence(str(r.record["sentence"]))
-    word, tone = str(r.record["verdict"]).replace("_", " "), TONES.get(r.verdict.name, "good")
+    word, tone = str(r.record["verdict"]).replace("_", " "), VERDICT_TONES.get(r.verdict.name, "good")
     if r.verdict.grade == "part" and r.verdict.name != "ambiguous":
         word += ", explains a part of the error"
     if r.risen and r.verdict.claimed:
@@ -282,7 +282,7 @@ def parameter_tables(r: Refinement) -> TableRows:
     if r.verdict.claimed is None and near is not None and near.candidates:
         shown.append((near, " of the nearest model, not claimed"))
     for h, of in shown:
-        for title, note, added in (("Added parameters", INTERVALS, True), ("Base parameters", TOLERANCE, False)):
+        for title, note, added in (("Added parameters", INTERVALS, True), ("Base parameters", TOLERANCE_NOTE, False)):
             rows = [_parameter_row(r, f, h) for f in h.fit.free if not f.group and (f.name in h.parameters) == added]
             found += [{"title": title + of, "note": note, "rows": rows}] if rows else []
     return found
@@ -360,7 +360,7 @@ def _numbers(r: Refinement, part: str, name: str) -> dict[str, float]:
 def error_tables(r: Refinement) -> list[dict[str, Any]]:
     """Return a table for each set of logs, its rows with the errors of a channel as texts."""
     tables = []
-    for part, title in PARTS.items():
+    for part, title in PART_TITLES.items():
         rows = []
         for name in r.record["error"]["before"].get(part, {}):
             sizes = _numbers(r, part, name)
@@ -399,7 +399,7 @@ def second_sentence(r: Refinement) -> str:
     return f"{text}." if math.isnan(sizes["floor"]) else f"{text}; the noise floor is {shown['floor']}."
 
 
-TIMES = " · "  # between the signals of a product
+PRODUCT_SIGN = " · "  # between the signals of a product
 
 
 def runs(r: Refinement, charts: Charts, leading: str) -> list[dict[str, Any]]:
@@ -607,7 +607,7 @@ def _compare_sensor(subject: Subject, problem: Problem, c: Candidate, claim: Fit
     neutral = {**claim.values, **{n: problem.values[n] for n in c.parameters}}
     for index in smoothed_logs(problem):
         data, run = problem.logs[index], problem.run(claim.values, noise, index)
-        count = min(len(data.u), MOST_ROWS) - 1
+        count = min(len(data.u), MAX_SMOOTHED_ROWS) - 1
         clean = outputs_along(problem, index, neutral, run, count)
         wrong, times = outputs_along(problem, index, claim.values, run, count), data.times[:count]
         if kind.depends_on_past():
@@ -640,14 +640,14 @@ def _compare_sensor(subject: Subject, problem: Problem, c: Candidate, claim: Fit
 def _choose(subject: Subject, signals: Mapping[str, Array], suggested: Sequence[str], values: Array) -> Regressor:
     """Return the signal whose bins explain most of the variance of `values`; suggested signals have precedence."""
     units = signal_units(subject)
-    names = [n for n in suggested if all(one in signals for one in n.split(TIMES))]
+    names = [n for n in suggested if all(one in signals for one in n.split(PRODUCT_SIGN))]
     found = []
     for name in names or [n for n in signals if n in units and n.partition(".")[0] not in subject.present]:
-        parts = name.split(TIMES)
+        parts = name.split(PRODUCT_SIGN)
         x = np.prod([signals[one] for one in parts], axis=0)
         if units.get(name) == "rad" and np.ptp(x) > 2.0 * np.pi:  # a turning angle, wrapped into one turn
             x = np.mod(x, 2.0 * np.pi)
-        found.append(Regressor(name, TIMES.join(units[one] for one in parts), x))
+        found.append(Regressor(name, PRODUCT_SIGN.join(units[one] for one in parts), x))
     return min(found, key=lambda s: sum(float(np.var(values[rows])) * rows.size for rows in _bins(s.values)))
 
 
@@ -704,7 +704,7 @@ def _plots(s: EffectComparison, charts: Charts) -> list[Plot]:
         term = factor * s.term
         means.append(Trace(s.effect, np.array([term[rows].mean() for rows in bins]), "true", x=places))
         course.append(Trace(s.effect, term[first], "true"))
-    over = s.against.name, TIMES.join(display(u)[0] or u for u in s.against.unit.split(TIMES)) or "1"
+    over = s.against.name, PRODUCT_SIGN.join(display(u)[0] or u for u in s.against.unit.split(PRODUCT_SIGN)) or "1"
     against = Panel(f"{title} against {s.against.name}", unit or "1", means)
     band = Band("±2σ", (estimated - width)[first], (estimated + width)[first])
     time = charts.over(s.time[first]).plots([Panel(f"{title} over time", unit or "1", course, band)])

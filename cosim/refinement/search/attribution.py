@@ -18,7 +18,7 @@ from typing import Any, Self
 import numpy as np
 from scipy.special import ndtri
 
-from cosim.estimation.fit import CONVERGED, NOISE_DIFFERENCE, Fit
+from cosim.estimation.fit import CONVERGED_GAIN, NOISE_DIFFERENCE, Fit
 from cosim.estimation.parallel import in_parallel
 from cosim.estimation.posing import coarsen, erring_stamps, with_equations_trusted, with_finer_steps, with_likely_starts
 from cosim.estimation.problem import Problem
@@ -38,8 +38,8 @@ from cosim.refinement.decision.posterior import (
     posterior,
 )
 from cosim.refinement.search.fits import (
+    FITTED_WITHIN_NATS,
     HOPE,
-    NEAR,
     Hypothesis,
     Parts,
     Progress,
@@ -300,12 +300,12 @@ class Attributor(Search):
                 for start in self._neighbours(h, kappa):
                     starts.setdefault(key_of(start[0]), start)
             best = ended[ranked[0]]
-            near = [h for h in self.tried.values() if not h.ended and h.score - best.score < NEAR * kappa]
+            near = [h for h in self.tried.values() if not h.ended and h.score - best.score < FITTED_WITHIN_NATS * kappa]
             for h in sorted(near, key=lambda h: h.score)[:BREADTH]:
                 starts[h.key] = h.candidates, h.fit
             untried = [s for key, s in starts.items() if not (key in self.tried and self.tried[key].ended)]
-            untried += self._without_idle_parts(best.score + NEAR * kappa)
-            untried += self._worse_than_their_parts(best.score + NEAR * kappa)
+            untried += self._without_idle_parts(best.score + FITTED_WITHIN_NATS * kappa)
+            untried += self._worse_than_their_parts(best.score + FITTED_WITHIN_NATS * kappa)
             if not untried:
                 return
             self.fit_to_the_end(untried)
@@ -322,7 +322,7 @@ class Attributor(Search):
             moved = {name for name in moved if h.fit.values[name] != given[name]}
             acting = tuple(c for c in h.candidates if moved.intersection(c.parameters))
             known = self.tried.get(key_of(acting))
-            least = h.fit.objective + CONVERGED * self.problem.scatter
+            least = h.fit.objective + CONVERGED_GAIN * self.problem.scatter
             if h.ended and least + self.cost(acting) < limit and not (known and known.fit.objective <= least):
                 starts[key_of(acting)] = acting, h.fit
         return [*starts.values()]

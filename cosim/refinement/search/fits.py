@@ -16,7 +16,7 @@ from typing import TypeVar
 import numpy as np
 
 from cosim.core.arrays import NamedValues
-from cosim.estimation.fit import CONVERGED, ITERATIONS, Fit, fit, initial_fit
+from cosim.estimation.fit import CONVERGED_GAIN, MAX_ITERATIONS, Fit, fit, initial_fit
 from cosim.estimation.parallel import in_parallel
 from cosim.estimation.posing import fit_growing
 from cosim.estimation.problem import Noise, Problem
@@ -27,8 +27,8 @@ from cosim.refinement.stages import report_ranking
 
 SCREEN_ITERATIONS = 12
 HOPE = 2.0  # factor by which a fit may exceed the gain that a score test predicts
-NEAR = 10.0  # nats from the best within which a set is worth a fit, and a hypothesis is fitted to the end
-STARTS = 4  # draws of the prior from which a probable hypothesis is fitted again
+FITTED_WITHIN_NATS = 10.0  # nats from the best within which a set is worth a fit, and a hypothesis is fitted to the end
+PRIOR_DRAWS = 4  # draws of the prior from which a probable hypothesis is fitted again
 HALVINGS = 2  # of promised sizes, until the logs are no less likely
 
 TOGETHER = " + "  # separator between the names of a rival with several candidates
@@ -140,7 +140,7 @@ class Search:
             noise = replace(noise, power=np.maximum(noise.power, problem.noise.quiet))
         if promised:
             begins = [self._toward(promised, base, free, noise, start.nll), *(begins if len(begins) > 1 else ())]
-        iterations = SCREEN_ITERATIONS if screen else ITERATIONS
+        iterations = SCREEN_ITERATIONS if screen else MAX_ITERATIONS
         fits = [fit(problem, free, b, noise, None, iterations, goal=goal, sensing=not screen) for b in begins]
         best = min(fits, key=attrgetter("objective"))
         return Hypothesis(parts, best, best.objective + self.cost(parts), ended=not screen)
@@ -153,7 +153,7 @@ class Search:
         """
         problem, free, best = self.problem, self.free(h.candidates), h.fit
         rng = np.random.default_rng([*" ".join(h.names).encode()])
-        for _ in range(STARTS):
+        for _ in range(PRIOR_DRAWS):
             values = dict(best.values)
             for f in free:
                 if f.group:
@@ -165,7 +165,7 @@ class Search:
             if not problem.trusted:
                 power = rng.uniform(problem.noise.smallest, problem.noise.largest)
                 noise = replace(noise, power=power, memory=problem.plain.memory)
-            other = fit(problem, free, values, noise, goal=best.objective - CONVERGED * problem.scatter)
+            other = fit(problem, free, values, noise, goal=best.objective - CONVERGED_GAIN * problem.scatter)
             best = min(best, other, key=attrgetter("objective"))
         # Free runs that leave the motion of the logs are kept there by large unknown inputs.
         is_away = problem.layout.is_free_run and np.any(best.noise.power > problem.noise.plain)
@@ -215,7 +215,7 @@ class Search:
         def refit(start: tuple[Parts, Fit]) -> Hypothesis:
             fitted = self.hypothesis(*start, loosen=False)
             earlier = self.tried.get(fitted.key)
-            enough = CONVERGED * self.problem.scatter
+            enough = CONVERGED_GAIN * self.problem.scatter
             if earlier and earlier.fit is not start[1] and earlier.fit.objective < fitted.fit.objective - enough:
                 fitted = self.hypothesis(fitted.candidates, earlier.fit, loosen=False)
             ended = [h for h in self.tried.values() if h.ended and h.key < fitted.key]
@@ -248,8 +248,8 @@ class Search:
 
     @property
     def near(self) -> float:
-        """Return the score difference of `NEAR` nats."""
-        return NEAR * self.problem.scatter
+        """Return the score difference of `FITTED_WITHIN_NATS` nats."""
+        return FITTED_WITHIN_NATS * self.problem.scatter
 
     def cost(self, parts: Sequence[Candidate]) -> float:
         """Return the score cost of candidates."""

@@ -26,7 +26,7 @@ from cosim.estimation.kernel.kernel import DEVIATION, Filtered
 from cosim.estimation.problem import Noise, Problem
 from cosim.refinement.decision.posterior import CERTAIN
 
-MOST_ROWS = 3000  # largest number of smoothed rows of a log
+MAX_SMOOTHED_ROWS = 3000  # largest number of smoothed rows of a log
 LOGS = 2  # number of smoothed logs, from the first
 NUDGE = 1e-4  # difference step relative to the size of a state; kernel steps are smooth on this scale
 
@@ -86,7 +86,7 @@ def smooth_logs(problem: Problem, base: Fit, every: int = 1, *, deviations: bool
     places = [k for k, name in enumerate(names) if name.startswith(DEVIATION)] if deviations else list(layout.noisy)
     for index in smoothed_logs(problem):
         data, run = problem.data(base.values, index), problem.run(base.values, noise, index)
-        count = min(len(data.u), MOST_ROWS)
+        count = min(len(data.u), MAX_SMOOTHED_ROWS)
         last = count if deviations else count - 1
         scored, x = slice(min(count_unscored(data), last), last), run.states[:count, reached]
         if run.covariances is None:  # the filtered inputs, as uncertain as before any reading
@@ -182,8 +182,8 @@ def contributions(problem: Problem, base: Fit, after: Fit, index: int) -> Array:
     runs = [problem.run(f.values, f.noise, index) for f in (base, after)]
     if layout.is_free_run:
         change = (runs[1].states - runs[0].states)[:, layout.forced_places]
-        return np.asarray(change[min(count_unscored(data), len(change) - 1) : MOST_ROWS])
-    rows, shared = min(len(data.u), MOST_ROWS) - 1, list(layout.stochastic)
+        return np.asarray(change[min(count_unscored(data), len(change) - 1) : MAX_SMOOTHED_ROWS])
+    rows, shared = min(len(data.u), MAX_SMOOTHED_ROWS) - 1, list(layout.stochastic)
     states = [np.array([problem.drop_unknown_inputs(x) for x in run.states[:rows]]) for run in runs]
     states[0][:, shared] = states[1][:, shared]
     without, with_it = (

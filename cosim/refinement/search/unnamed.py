@@ -23,11 +23,11 @@ from cosim.core.arrays import Array
 from cosim.core.linear_algebra import least_squares, orthonormal
 from cosim.core.units import unit_of_rate
 from cosim.estimation.fit import DIFFERENCE, Fit, fit
-from cosim.estimation.kernel.generate import KNOTS, LOCAL, PREFIX, RATE, READING, SLOTS, bump, rise
-from cosim.estimation.kernel.kernel import CONSTANT, DEVIATION, DISTURBANCE
+from cosim.estimation.kernel.generate import KNOTS, LOCAL, RATE, READING_PREFIX, SHAPE_PREFIX, SLOTS, bump, rise
+from cosim.estimation.kernel.kernel import CONSTANT_PREFIX, DEVIATION, DISTURBANCE
 from cosim.estimation.parallel import in_parallel
 from cosim.estimation.problem import Problem
-from cosim.estimation.screen import SHARE, ScoreTest
+from cosim.estimation.screen import DIFFERENCE_SHARE, ScoreTest
 from cosim.estimation.subject.candidates import Candidate, Free
 from cosim.estimation.subject.interface import Subject
 from cosim.refinement.decision.posterior import CERTAIN, LITTLE, MISFIT, chance_of_gain
@@ -62,7 +62,7 @@ class UnnamedTerm:
     @property
     def names(self) -> tuple[str, ...]:
         """Return the parameter names of the coefficients."""
-        return self.shape.coefficients(self.slot) if self.shape else (f"{PREFIX}.{self.equation}.{self.signal}",)
+        return self.shape.coefficients(self.slot) if self.shape else (f"{SHAPE_PREFIX}.{self.equation}.{self.signal}",)
 
     @property
     def settings(self) -> dict[str, float]:
@@ -119,13 +119,13 @@ def find_unnamed_terms(problem: Problem, at: Fit, price: float, units: Mapping[s
         units: Units of time, states and commands; local shapes use differences of states with equal units.
     """
     test = ScoreTest(problem, at)
-    simple = [n.split(".", 2)[1:] for n in problem.layout.parameters if n.startswith(f"{PREFIX}.")]
+    simple = [n.split(".", 2)[1:] for n in problem.layout.parameters if n.startswith(f"{SHAPE_PREFIX}.")]
     shapes, tried, signals = promising_shapes(test, price, units)
     terms = [UnnamedTerm(equation, signal) for equation, signal in simple]
     terms += [UnnamedTerm(shape.equation, shape.signal, shape=shape) for shape in shapes]
     among = len(simple) + tried
     usual = dict(zip(problem.layout.forced, np.sqrt(problem.plain.density), strict=True))
-    usual |= {READING + n: float(np.sqrt(r)) for n, r in zip(problem.layout.outputs, problem.r, strict=True)}
+    usual |= {READING_PREFIX + n: float(np.sqrt(r)) for n, r in zip(problem.layout.outputs, problem.r, strict=True)}
 
     def effects(u: UnnamedTerm) -> tuple[list[Array], list[float]]:
         """Return the change of the innovations by a detectable step of each coefficient, and the steps."""
@@ -212,8 +212,8 @@ def find_unnamed_terms(problem: Problem, at: Fit, price: float, units: Mapping[s
 #
 
 
-EVERY = 4  # rows between linearizations, sufficient for a regression
-MINUS = " − "
+LINEARIZATION_ROWS = 4  # rows between linearizations, sufficient for a regression
+DIFFERENCE_SIGN = " − "
 ENDS = 0.5 * (1.0 - CERTAIN), 0.5 * (1.0 + CERTAIN)  # quantiles of a signal, beyond which rows are few
 
 Signals = Mapping[str, Array]
@@ -256,12 +256,12 @@ class Shape:
     @property
     def signal(self) -> str:
         """Return the signal as text."""
-        return MINUS.join(self.of)
+        return DIFFERENCE_SIGN.join(self.of)
 
     @property
     def factor(self) -> str:
         """Return the factor as text; "" without a factor."""
-        return MINUS.join(self.times)
+        return DIFFERENCE_SIGN.join(self.times)
 
     @property
     def per(self) -> float:
@@ -298,7 +298,7 @@ def signals_of(problem: Problem, missing: MissingInput) -> dict[str, Array]:
     """Return name → values of the signals for local shapes."""
     layout, commands = problem.layout, missing.of_logs([log.u for log in problem.logs])
     named = dict(zip(layout.states, missing.states.T, strict=True))
-    own = {n: z for n, z in named.items() if not n.startswith((DISTURBANCE, CONSTANT))}
+    own = {n: z for n, z in named.items() if not n.startswith((DISTURBANCE, CONSTANT_PREFIX))}
     if layout.is_free_run:
         own = {n: named[n] + named[DEVIATION + n] for n in layout.outputs}
         for rate in (n for n in layout.rates.values() if n.startswith(RATE)):
@@ -327,7 +327,7 @@ def promising_shapes(test: ScoreTest, price: float, units: Mapping[str, str]) ->
     if not names:
         return [], 0, {}
     with np.errstate(invalid="ignore", over="ignore"):
-        missing = smooth_logs(problem, at, EVERY)
+        missing = smooth_logs(problem, at, LINEARIZATION_ROWS)
     signals = {n: z for n, z in signals_of(problem, missing).items() if n in names}
     if not all(np.isfinite(z).all() for z in (missing.value, *signals.values())):
         return [], 0, signals
@@ -351,7 +351,7 @@ def promising_shapes(test: ScoreTest, price: float, units: Mapping[str, str]) ->
     prefix = f"{LOCAL}.1.to."
     places = [n.removeprefix(prefix) for n in problem.layout.parameters if n.startswith(prefix)]
     for wave, place in product(waves, places):  # innovations show an error of a reading times a rate of the signal
-        times = () if place.startswith(READING) else wave.times
+        times = () if place.startswith(READING_PREFIX) else wave.times
         shapes.append(replace(wave, equation=place, times=times, unit=units.get(wave.signal, "")))
     return shapes, tried + lines * len(places), signals
 
@@ -454,7 +454,7 @@ def law_of(terms: Sequence[tuple[Shape, Sequence[float]]], signals: Signals, *, 
 
 
 RADIAN = 2.0 * math.pi  # standard deviations of a position in the shortest period: one radian of its phase
-LINES = 3  # strongest lines that a score test compares
+MAX_TESTED_LINES = 3  # strongest lines that a score test compares
 
 
 def with_likely_periods(
@@ -482,7 +482,7 @@ def _with_period(test: ScoreTest, c: Candidate) -> Candidate:
 
     def gain(value: float) -> float:
         start = {name: value - test.values[name]}
-        return test.gain([test.row(start | {f.name: SHARE * f.size}) for f in sizes])[0]
+        return test.gain([test.row(start | {f.name: DIFFERENCE_SHARE * f.size}) for f in sizes])[0]
 
     def at(cycles: float, value: float) -> float:
         """Return the period with some more cycles over the travel."""
@@ -525,7 +525,7 @@ def _lines(test: ScoreTest, positions: Sequence[Array], low: float, high: float)
     frequency, height = spectrum_along([*zip(positions, innovations_of_logs(test), strict=True)], low)
     height[frequency * high < 1.0] = 0.0
     peaks, _ = find_peaks(height, distance=2 * 2)  # two cycles over the travel
-    strongest = sorted(peaks, key=lambda peak: -height[peak])[:LINES]
+    strongest = sorted(peaks, key=lambda peak: -height[peak])[:MAX_TESTED_LINES]
     yield from (1.0 / float(frequency[peak]) for peak in strongest)
 
 

@@ -21,10 +21,10 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 PAGE = Path(__file__).with_name("templates") / "cell.html.j2"
-MAX_VALUES = 100_000  # values in a cell, about 300 kB of the notebook
-MAX_CURVES = 24  # curves in a cell, chosen by callers
-MIN_POINTS, MAX_POINTS = 50, 2000  # rows of each curve, chosen so that peaks remain
-ROW_HEIGHT, MAX_HEIGHT = 330, 700  # height [px] of a row of two charts, and of the frame
+MAX_VALUES = 100_000  # in a cell: some 300 kB of the notebook
+MAX_CELL_CURVES = 24  # in a cell; callers choose them
+MIN_POINTS, MAX_POINTS = 50, 2000  # of each curve that keep its peaks
+ROW_HEIGHT, MAX_HEIGHT = 330, 700  # of two charts side by side, and of the frame [px]
 
 
 def rows_to_show(curves: Sequence[Array]) -> Rows:

@@ -19,9 +19,9 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-# colours of Okabe and Ito are distinct for all common kinds of colour vision; dashes distinguish lines without colour
-DASHES = {"again": "--", "third": ":"}  # second and third run of a comparison, in the colours of the first
-LINES: dict[str, tuple[str, str, float]] = {
+# Okabe and Ito's colours are distinct for all common kinds of colour vision; dashes work without colour.
+DASHES = {"again": "--", "third": ":"}  # of further runs with the colours of a comparison
+LINE_STYLES: dict[str, tuple[str, str, float]] = {
     "s0": ("#0072b2", "-", 1.1),
     "s1": ("#d55e00", "--", 1.1),
     "s2": ("#009e73", "-.", 1.1),
@@ -78,7 +78,7 @@ def _panel(ax: Axes, time: Array, panel: Panel) -> None:
         ax.fill_between(time, band.lower, band.upper, color="#0072b2", alpha=0.16, linewidth=0, label=band.label)
     for trace in panel.traces:
         name, _, kind = trace.style.partition(" ")
-        colour, dash, width = LINES[name]
+        colour, dash, width = LINE_STYLES[name]
         (line,) = ax.plot(time, trace.values, label=literal(trace.label), color=colour, linewidth=width)
         line.set(linestyle=DASHES.get(kind, dash), drawstyle="steps-post" if trace.held else "default")
         line.set_marker("." if time.size == 1 else "")

@@ -22,7 +22,7 @@ from cosim.credibility.validity import output_panels, validity_sentence
 from cosim.files.files import write_text
 from cosim.files.results import Results, is_rounded
 from cosim.files.yaml_file import short
-from cosim.report.cell.cell import MAX_CURVES, cell_of, rows_to_show
+from cosim.report.cell.cell import MAX_CELL_CURVES, cell_of, rows_to_show
 from cosim.report.charts import Charts, Drawing
 from cosim.report.panels import Band, Panel, Trace, axis_unit, by_unit, extent
 from cosim.report.template import Row, command, render
@@ -44,18 +44,20 @@ from cosim.simulation.report.system_diagram import graph_of_run
 TEMPLATE = Path(__file__).with_name("templates") / "run.html.j2"
 MAX_TILES = 4
 LIMIT_LABEL = "allowed"
-REFERENCE = re.compile(r"(?<=\.)ref(erence)?_|_(ref|reference|sp|set|setpoint|set_point|desired|target|wanted|cmd)$")
-WIDTHS = {"settling_time": "band", "peak": "max", "final_error": "max"}  # criterion → key of its limit
-MAX_CONNECTIONS = 40  # connections with a separate chart; signals of further connections are in the charts by unit
-MAX_WIRES = 200  # connections in the system diagram; `cosim graph` draws all
-MAX_SIGNALS = 1000  # signals on a page
-MAX_LISTED = 1000  # connections in the table
-DRAWABLE = 1e100  # larger values, of a diverged run, are not drawn, since their squares may overflow
-MOST_NAMES = 5  # names in a note
-MAX_SPELLED, MAX_CHANGES = 200, 8  # signals of text and the like on a page, and shown changes of each
-STEP = "time between two exchanges of values among the components"
-MIN_SHARE = 0.01  # share of the wall time from which a component has its own table row
-NAMES = {"peak": "largest magnitude"}  # kinds of criteria with another title than in the scenario
+REFERENCE_PART = re.compile(
+    r"(?<=\.)ref(erence)?_|_(ref|reference|sp|set|setpoint|set_point|desired|target|wanted|cmd)$"
+)
+WIDTH_KEYS = {"settling_time": "band", "peak": "max", "final_error": "max"}  # criterion → its distance from the target
+MAX_CONNECTION_CHARTS = 40  # with a separate chart; signals of further connections are among the others
+MAX_WIRES = 200  # in the system diagram; `cosim graph` draws all
+MAX_PAGE_SIGNALS = 1000  # signals on a page
+MAX_LISTED_CONNECTIONS = 1000  # connections in the table
+DRAWABLE = 1e100  # a diverged run has larger values, with squares that may overflow
+MAX_NOTED_NAMES = 5  # in a note
+MAX_SPELLED, MAX_CHANGES = 200, 8  # signals on a page, and changes of each
+STEP_MEANING = "time between two exchanges of values among the components"
+MIN_SHARE = 0.01  # of the wall time of a component with a row
+CRITERION_NAMES = {"peak": "largest magnitude"}  # of kinds, others are shown as the scenario names them
 
 
 @far_beyond
@@ -93,7 +95,8 @@ def _page(run: Run) -> str:
         "links": drawing.plots(list(links.values())),
         "others": drawing.plots(others),
         "spelled": spelled_values(run),
-        "undrawn": f"The first {MAX_SIGNALS} of {count} signals; the file of rows has all." * (count > MAX_SIGNALS),
+        "undrawn": f"The first {MAX_PAGE_SIGNALS} of {count} signals; the file of rows has all."
+        * (count > MAX_PAGE_SIGNALS),
         **trust(run, drawing),
         "criteria": goals,
         "rows": run.time.size,
@@ -101,8 +104,8 @@ def _page(run: Run) -> str:
         "data": drawing.charts.data(page.data),  # after all drawings, which add data
         "diagram": graph.svg(alone=False) if graph is not None and graph.links else "",
         "provenance": provenance(run),
-        "connections": connected[:MAX_LISTED],
-        "unlisted": len(connected[MAX_LISTED:]),
+        "connections": connected[:MAX_LISTED_CONNECTIONS],
+        "unlisted": len(connected[MAX_LISTED_CONNECTIONS:]),
         "components": component_rows(run),
         "events": event_rows(run),
         "times": time_rows(run),
@@ -137,7 +140,7 @@ def judged_panels(run: Run) -> list[Panel]:
             continue
         names, limits = [(name, "true")], tuple[float, ...]()
         if not isinstance(target, str):
-            width = number(entry.get(WIDTHS.get(kind, "")))  # NaN if there are no limits
+            width = number(entry.get(WIDTH_KEYS.get(kind, "")))  # NaN without limits
             low, high = extent([run.results[name]]) or (0.0, 0.0)
             is_one_sided = kind == "peak" and not number(target)  # true for the peak of a signal that keeps its sign
             sides = (1.0,) if is_one_sided and low >= 0.0 else (-1.0,) if is_one_sided and high <= 0.0 else (-1.0, 1.0)
@@ -159,12 +162,12 @@ def connection_panels(
     """
     panels: dict[tuple[str, str], Panel] = {}
     fed = {link["target"]: link for link in connected if link["target"] in run.results and link["target"] not in shown}
-    references = {name: other for name in fed if (other := REFERENCE.sub("", name)) != name and other in fed}
+    references = {name: other for name in fed if (other := REFERENCE_PART.sub("", name)) != name and other in fed}
     references = {name: other for name, other in references.items() if run.unit(name) == run.unit(other)}
     for target, link in fed.items():
         source = link["source"]
         is_drawable = source in run.results and source not in shown and run.unit(source) == run.unit(target)
-        if not is_drawable or target in references or len(panels) == MAX_CONNECTIONS:
+        if not is_drawable or target in references or len(panels) == MAX_CONNECTION_CHARTS:
             continue
         traces = [run.trace(source, "true")]
         if not np.array_equal(run.results[source], run.results[target], equal_nan=True):
@@ -175,9 +178,9 @@ def connection_panels(
 
 
 def signal_panels(run: Run, shown: frozenset[str] = frozenset()) -> list[Panel]:
-    """Return the columns not in `shown`, grouped by unit, at most MAX_SIGNALS columns."""
+    """Return the columns not in `shown`, grouped by unit, MAX_PAGE_SIGNALS at most."""
     panels = []
-    names = [column for column in run.results.columns if column not in shown][:MAX_SIGNALS]
+    names = [column for column in run.results.columns if column not in shown][:MAX_PAGE_SIGNALS]
     for _, columns in by_unit(names, run.unit, run.results.__getitem__):
         title = ", ".join(dict.fromkeys(column.partition(".")[0] for column in columns))
         traces = [run.trace(column, f"s{i}") for i, column in enumerate(columns)]
@@ -203,8 +206,8 @@ def results_cell(results: Results, names: Sequence[str], title: str) -> str:
 
     A note names text signals, which are not drawn, and integers that are rounded to doubles.
     """
-    shown = tuple(names[:MAX_CURVES])
-    rows = rows_to_show([results[name] for name in shown])  # rows are selected first, so that a long run is not copied
+    shown = tuple(names[:MAX_CELL_CURVES])
+    rows = rows_to_show([results[name] for name in shown])  # first of all: a long run is not copied
     values = np.column_stack([results[name][rows] for name in shown]) if shown else np.empty((rows.size, 0))
     run = drawable_run(replace(results, time=results.time[rows], columns=shown, values=values, exact={}), {})
     omitted = len(names) - len(shown)
@@ -212,7 +215,7 @@ def results_cell(results: Results, names: Sequence[str], title: str) -> str:
     texts = [name for name in results.exact if name not in results]
     rounded = [name for name in shown if name in results.exact and is_rounded(results[name])]
     notes = ((texts, "not drawn: texts"), (rounded, "above 2⁵³ drawn as the nearest doubles"))
-    parts = [f"{some(of, MOST_NAMES)} {text}" for of, text in notes if of]
+    parts = [f"{some(of, MAX_NOTED_NAMES)} {text}" for of, text in notes if of]
     return page + (f"<p><small>{escape('; '.join(parts))}.</small></p>" if parts else "")
 
 
@@ -360,7 +363,7 @@ def provenance(run: Run) -> list[Row]:
             "Git revision", str(git.get("revision") or ""), "with uncommitted changes" if git.get("dirty") else "clean"
         ),
         Row("Simulated time", _seconds(duration)),
-        Row("Communication step", steps, STEP),
+        Row("Communication step", steps, STEP_MEANING),
         Row("Coupling algorithm", run.algorithm),
         Row("Seed", "" if manifest.get("seed") is None else str(manifest["seed"])),
         Row("Wall time", ", ".join(wall)),
@@ -399,7 +402,7 @@ def criteria(run: Run) -> list[dict[str, Any]]:
         own_unit, unit = run.unit(str(entry.get("of"))), str(entry.get("unit") or "")
         value, bound = number(entry.get("value")), number(entry.get("max"))
         kind, target = str(entry.get("kind", "criterion")), entry.get("to")
-        title = f"{NAMES.get(kind, kind.replace('_', ' '))} of {entry.get('of', '?')}"
+        title = f"{CRITERION_NAMES.get(kind, kind.replace('_', ' '))} of {entry.get('of', '?')}"
         if target is not None:
             title += f" to {target if isinstance(target, str) else amount(number(target), own_unit, None)}"
         if "band" in entry:

@@ -26,7 +26,7 @@ FACTS = {  # key of a component → its text in the diagram
     "latency": "{:g} s late",
     "dropout": "{:.2g} lost",
 }
-CHARACTER, BOLD, SMALL = 7.0, 9.2, 6.2  # [px] width of a character of 12.5, 13.5 and 11 px text
+CHARACTER_PX, BOLD_PX, SMALL_PX = 7.0, 9.2, 6.2  # width of a character of 12.5, 13.5 and 11 px text
 HEAD, LINE, NOTE = 46, 22, 15  # [px] height of a box's head, of a port, of a note below a port
 SLOT, LANE, MARGIN = 13, 15, 24  # [px] between parallel wires, between lanes above and below, around the diagram
 MIN_WIDTH = 150  # [px] of a box
@@ -85,7 +85,7 @@ class Graph:
         for number, (name, about) in enumerate(self.about.items(), 1):
             title, sides = f"{number} {_cut(name)}", ports[name]
             widths = sum(max([0.0, *(_width(*port) for port in side.values())]) for side in sides)
-            width = max(MIN_WIDTH, widths + 40, BOLD * len(title) + 24, SMALL * len(about) + 24)
+            width = max(MIN_WIDTH, widths + 40, BOLD_PX * len(title) + 24, SMALL_PX * len(about) + 24)
             box = HEAD + 12 + max(sum(LINE + NOTE * len(notes) for *_, notes in side.values()) for side in sides)
             bottom = max(bottom, top + box + 12)
             parts += [
@@ -126,7 +126,7 @@ class Graph:
                 key += " Dashed lines transfer values at the start of the step, other lines values at its end."
         key_top = bottom + LANE * len(below) + 22
         parts += [_text("key", MARGIN, key_top, key)] if key else []
-        width = max(x - SLOT + MARGIN / 2, MARGIN * 2 + SMALL * len(key) if key else 0.0)
+        width = max(x - SLOT + MARGIN / 2, MARGIN * 2 + SMALL_PX * len(key) if key else 0.0)
         height = key_top + (15 if key else 0)
         summary = f"{counted(len(place), 'component')} of {self.name} in the order in which they step"
         summary += f", {counted(len(wires), 'connection')}"
@@ -200,7 +200,7 @@ def graph_from(scenario: Mapping[str, Any], order: Sequence[str], held: set[str]
 def _width(name: str, unit: str, notes: Sequence[str]) -> float:
     """Return the width of a port with its notes [px]."""
     characters = len(name) + (len(unit) + 3 if unit else 0)
-    return max([CHARACTER * characters, *(SMALL * len(text) for text in notes)])
+    return max([CHARACTER_PX * characters, *(SMALL_PX * len(text) for text in notes)])
 
 
 def _text(look: str, x: float, y: float, text: str, unit: str = "") -> str:
