@@ -259,7 +259,7 @@ def build_command(*, valid_output: Path | None = None, json: bool = False, **giv
         others = [f"--{name}" for name in ("model", "nearest", "native", "platforms", "design") if given[name]]
         refuse(Fault(Path(name), 0, 0, "does not apply with --valid-output; remove one of them") for name in others)
         path, left_out = add_valid_output(valid_output, given["folder"])
-        warn(*(f"no library for {reason}" for reason in left_out.values()))
+        warn(*(f"{path} has no library for {platform}: {reason}" for platform, reason in left_out.items()))
         say(f"built {path}")
         built = [{"fmu": str(path)}]
     elif given.pop("native"):
