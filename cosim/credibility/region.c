@@ -10,7 +10,7 @@ typedef struct {
 static int is_inside(const double *begin, const double *end, double span, Judged *judged)
 {
     double sample[COORDINATES], shift = 0.0, bound = HUGE_VAL;
-    int far = 0; /* coordinate in which the last point was too far, tried first */
+    int farthest = 0; /* coordinate in which the last point was too farthest, tried first */
     for (int k = 0; k < COORDINATES; k++) {
         const int signal = REGION_SIGNAL[k];
         const double value = REGION_IS_RATE[k] ? (end[signal] - begin[signal]) / span : begin[signal];
@@ -22,10 +22,10 @@ static int is_inside(const double *begin, const double *end, double span, Judged
     if (judged->bound - shift > 1.000001 * REGION_THRESHOLD) return 0;
     for (size_t trial = 0; trial <= REGION_POINTS; trial++) {
         const size_t point = trial == 0 ? judged->nearest : trial - 1;
-        double apart = fabs(sample[far] - REGION_POINT[far * REGION_POINTS + point]);
+        double apart = fabs(sample[farthest] - REGION_POINT[farthest * REGION_POINTS + point]);
         for (int k = 0; k < COORDINATES && apart <= REGION_THRESHOLD; k++) {
             apart = fabs(sample[k] - REGION_POINT[k * REGION_POINTS + point]);
-            far = k;
+            farthest = k;
         }
         if (apart <= REGION_THRESHOLD) {
             judged->nearest = point;

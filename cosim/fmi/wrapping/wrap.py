@@ -503,8 +503,7 @@ def _libraries(
     if not members:
         reasons = "; ".join(f"{name}: {reason}" for name, reason in left_out.items())
         raise NoCompiler(
-            f"the refined FMU of {file} needs a small library around the original, but none of its platforms can be "
-            f"compiled for: {reasons}"
+            f"{file} needs a small library around its own, but none of its platforms can be compiled for: {reasons}"
         )
     return members, left_out
 
