@@ -15,11 +15,12 @@ import cosim
 from cosim.credibility.bands import Bands
 from cosim.credibility.record import Credibility, attach, content_hash, read_credibility
 from cosim.credibility.region import Region, Stretch, region_of
+from cosim.fmi.wrapping.wrap import wrap
 from tests.hosts_fmpy import Instance
 from tests.logs import write_log
 from tests.native import NEEDS_COMPILER
 from tests.test_first_steps import told
-from tests.wrapped import drive_fmu
+from tests.wrapped import drive_fmu, terms_of
 
 pytestmark = NEEDS_COMPILER
 STEP = 0.02
@@ -50,6 +51,12 @@ def with_record(folder: Path, fmi: int, region: Region) -> Path:
     text = {"command": "cosim fit", "model": "Drive", "verdict": "improved", "sentence": "The error falls."}
     attach(fmu, Credibility(**text, logs=[], region=region, bands=Bands(reason="too few data")))
     return fmu
+
+
+def read_record(fmu: Path) -> Credibility:
+    record = read_credibility(fmu).record
+    assert record is not None
+    return record
 
 
 def with_output(folder: Path, fmi: int, region: Region) -> Path:
@@ -86,6 +93,20 @@ def test_it_equals_the_indicator_of_the_run_sample_by_sample(
     assert 0.3 < valid.mean() < 0.9
     assert run.manifest["validity"] == before.manifest["validity"]
     assert all(np.array_equal(run[f"plant.{n}"], before[f"plant.{n}"]) for n in ("position", "velocity"))
+
+
+@pytest.mark.parametrize("interface", ["co-simulation", "model-exchange"])
+def test_a_refined_fmu_has_it_too(region: Region, tmp_path: Path, interface: str) -> None:
+    """Inputs are those of the host, before the lag that the refined FMU adds."""
+    refined, fmu = tmp_path / "refined.fmu", with_record(tmp_path, 2, region)
+    wrap(fmu, terms_of("lag"), {"lag_at_force.time": 0.05}, refined, substep=STEP)
+    attach(refined, read_record(fmu))
+    told("build", "--valid-output", refined, "--out", tmp_path / "build")
+    run, before = (
+        ran(tmp_path, f, 60.0, seed=1, interface=interface) for f in (tmp_path / "build/refined.fmu", refined)
+    )
+    assert np.array_equal((run["plant.valid"] == 1.0)[1:], inside_of(run)[:-1])
+    assert np.array_equal(run["plant.velocity"], before["plant.velocity"])
 
 
 @pytest.mark.parametrize(("step", "rows"), [(STEP / 2, 2), (STEP / 5, 5), (2 * STEP, 1)])
@@ -142,7 +163,7 @@ def test_without_a_region_it_is_false(tmp_path: Path) -> None:
 
 def test_the_fmu_keeps_its_record(region: Region, tmp_path: Path) -> None:
     fmu = with_output(tmp_path, 2, region)
-    assert read_credibility(fmu) == read_credibility(tmp_path / "drive.fmu")
+    assert read_record(fmu) == read_record(tmp_path / "drive.fmu")
     assert read_credibility(fmu).problem == ""
     assert content_hash(fmu) != content_hash(tmp_path / "drive.fmu")
 

@@ -261,7 +261,7 @@ def build_command(*, valid_output: Path | None = None, json: bool = False, **giv
         path, left_out = add_valid_output(valid_output, given["folder"])
         warn(*(f"{path} has no library for {platform}: {reason}" for platform, reason in left_out.items()))
         say(f"built {path}")
-        built = [{"fmu": str(path)}]
+        built: list[dict[str, Any]] = [{"fmu": str(path)}]
     elif given.pop("native"):
         from cosim.fmi.building.build import build_native
 
