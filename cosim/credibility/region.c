@@ -10,7 +10,7 @@ typedef struct {
 static int is_inside(const double *begin, const double *end, double span, Judged *judged)
 {
     double sample[COORDINATES], shift = 0.0, bound = HUGE_VAL;
-    int farthest = 0; /* coordinate in which the last point was too farthest, tried first */
+    int farthest = 0; /* coordinate in which the last point was too far, tried first */
     for (int k = 0; k < COORDINATES; k++) {
         const int signal = REGION_SIGNAL[k];
         const double value = REGION_IS_RATE[k] ? (end[signal] - begin[signal]) / span : begin[signal];
