@@ -14,11 +14,16 @@ from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from shutil import copyfile
 from typing import Any
 
 import numpy as np
 
 from benchmarks.measure import Seconds, median_ratio, running
+from cosim.credibility.bands import Bands
+from cosim.credibility.record import Credibility, attach
+from cosim.credibility.region import Stretch, region_of
+from cosim.credibility.valid_output import add_valid_output
 from cosim.files.results import Results
 from cosim.fmi.building.build import build_native
 from cosim.fmi.native.compiler import compiler, load_library
@@ -53,6 +58,8 @@ FIGURES = (
     "ecos_over_ours",
     "ecos_csv_over_ours",
     "python_over_native_plant",
+    "valid_over_native",
+    "valid_over_native_outside",
 )
 
 
@@ -70,6 +77,7 @@ def native_figures(place: Path) -> dict[str, float | str]:
         "native_over_c": median_ratio(ours, partial(c_seconds, place)),
         **ecos_figures(place, ours),
         "python_over_native_plant": python_over_native_plant(place),
+        **valid_figures(place, scenario, ours),
     }
 
 
@@ -211,6 +219,31 @@ def ecos_run(place: Path, written: list[str] | None = None) -> Iterator[Seconds]
                 return time.process_time() - begin
 
             yield seconds
+
+
+# -- the output `valid` -----------------------------------------------------------------------------
+
+
+def valid_figures(place: Path, scenario: Path, ours: Seconds) -> dict[str, float]:
+    """Compare steps of the loop whose plant has the output `valid`, inside and outside the region, with the loop."""
+    rows, figures = simulate(build_system(ScenarioFile(scenario)), STEPS, H), {}
+    signals = {column.removeprefix("plant."): rows[column] for column in rows.columns if column.startswith("plant.")}
+    inside = region_of([Stretch(rows.time[:900], {n: v[:900] for n, v in signals.items()})], INPUTS["plant"], {}, H)
+    outside = inside.model_copy(deep=True)
+    outside.coordinates[-1].low += 100.0 * inside.coordinates[-1].scale
+    for name, region in (("valid_over_native", inside), ("valid_over_native_outside", outside)):
+        folder = place / name
+        folder.mkdir()
+        for file in ("plant-native.fmu", "controller-native.fmu", scenario.name):
+            copyfile(place / file, folder / file)
+        text = {"command": "cosim fit", "model": "craft", "verdict": "unchanged", "sentence": "No fit."}
+        record = Credibility(**text, logs=[], region=region, bands=Bands(reason="no replays"))
+        attach(folder / "plant-native.fmu", record)
+        add_valid_output(folder / "plant-native.fmu", folder / "valid")
+        copyfile(folder / "valid" / "plant-native.fmu", folder / "plant-native.fmu")
+        system = build_system(ScenarioFile(folder / scenario.name))
+        figures[name] = median_ratio(partial(loop_seconds, system, in_c=True), ours)
+    return figures
 
 
 # -- the plant in Python ----------------------------------------------------------------------------

@@ -7,9 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from cosim.core.errors import InputError
 from cosim.core.text import amount, counted, plain
-from cosim.credibility.record import Credibility, read_credibility
+from cosim.credibility.record import Credibility, require_credibility
 from cosim.files.files import write_text
 from cosim.report.charts import Charts, Plot
 from cosim.report.panels import Panel, Trace, axis_unit
@@ -22,10 +21,7 @@ ESTIMATE_DIGITS = 6  # of estimates and intervals
 
 def write_page(fmu: Path) -> Path:
     """Write the page of an FMU's record into the current folder and return its path; raise InputError without one."""
-    record, problem = read_credibility(fmu)
-    if record is None:
-        cure = "`cosim refine` and `cosim fit` write one into their FMU"
-        raise InputError.at(fmu, problem or f"has no record of credibility; {cure}")
+    record, problem = require_credibility(fmu)
     charts, region = Charts(), record.region
     values = {
         "name": f"{record.model} ({fmu.name})",

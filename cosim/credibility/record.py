@@ -188,6 +188,15 @@ def _srmd(record: Credibility) -> bytes:
     return content
 
 
+def require_credibility(fmu: Path) -> tuple[Credibility, str]:
+    """Return the record of an FMU and its problem, else empty; raise InputError without a record."""
+    record, problem = read_credibility(fmu)
+    if record is None:
+        cure = "`cosim refine` and `cosim fit` write one into the FMU that they deliver"
+        raise InputError.at(fmu, problem or f"has no record of credibility; {cure}")
+    return record, problem
+
+
 class Found(NamedTuple):
     """The record of an FMU, None without one that can be read, and what is wrong with it, else empty."""
 

@@ -1,8 +1,9 @@
 """The region that logs cover: points in scaled coordinates, and the usual distance of a new point to the nearest one.
 
-Coordinates are inputs, outputs, and rates of outputs. The distance of a point is the largest difference of a coordinate
-from the nearest point of the logs, so that one coordinate names the reason. The threshold is the distance that the rows
-of a part of the logs, left out with its neighbours, keep to the rest with 95 % probability.
+Coordinates are inputs, outputs, and rates of outputs. A sample has the values at its start, and the rates up to its
+end, about one step of the logs later. The distance of a sample is the largest difference of a coordinate from the
+nearest point of the logs, so that one coordinate names the reason. The threshold is the distance that the rows of a
+part of the logs, left out with its neighbours, keep to the rest with 95 % probability. region.c has this rule for FMUs.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ MAX_REGION_POINTS, MAX_REGION_ROWS = 1000, 20_000  # of the region, and of the l
 CONSTANT_SIGNAL_RANGE = 1e-6  # of a signal's size: smaller ranges are rounding, larger changes leave a constant signal
 REPEATS = 0.99  # correlation from which a coordinate repeats another one
 DECIMALS = 3  # of a stored point
+LEAST_SAMPLE = 0.99  # least length of a sample, in steps of the logs
 
 
 class Coordinate(BaseModel):
@@ -136,7 +138,7 @@ def region_of(
     names = [n for n in stretches[0].signals if n in inputs] + [n for n in stretches[0].signals if n not in inputs]
     every: list[tuple[str, Any]] = [(n, "input" if n in inputs else "output") for n in names]
     every += [(n, "rate") for n in names if n not in inputs]
-    tables = [_table(stretch, every, step) for stretch in stretches]
+    tables = [_table(stretch, every, _sample_ends(stretch.time, step)) for stretch in stretches]
     tables = [table[np.isfinite(table).all(axis=1)] for table in tables]
     rows = sum(map(len, tables))
     if rows < REGION_PARTS * MIN_PART_ROWS:
@@ -183,21 +185,28 @@ def region_of(
     return Region(step=step, coordinates=coordinates, left_out=left_out, threshold=threshold, points=points)
 
 
-def _table(stretch: Stretch, coordinates: Sequence[tuple[str, Any]], step: float) -> Array:
+def _sample_ends(time: Array, step: float) -> Rows:
+    """Return the row at which the sample of each row ends; the number of rows if no row is late enough."""
+    return np.maximum(np.searchsorted(time, time + LEAST_SAMPLE * step), np.arange(time.size) + 1)
+
+
+def _table(stretch: Stretch, coordinates: Sequence[tuple[str, Any]], ends: Rows) -> Array:
     """Return the values of coordinates, shape (rows, coordinates).
 
-    A rate looks ahead over one step, as the command of a row acts until the next one.
+    A rate looks ahead to the end of the sample, as the command of a row acts until the next one. Samples that do not
+    end have the last rate.
     """
     time, columns, missing = stretch.time, [], np.full(stretch.time.size, np.nan)
-    is_last = time + step > time[-1] + 1e-6 * step
+    begins = np.flatnonzero(ends < time.size)
+    ends = ends[begins]
+    restarts = np.array(stretch.restarts)
+    crosses_restart = np.searchsorted(restarts, ends) > np.searchsorted(restarts, begins)
     for signal, kind in coordinates:
         values = stretch.signals.get(signal, missing)
         if kind == "rate":
-            good = np.isfinite(values)
-            ahead = np.interp(time + step, time[good], values[good]) if good.any() else missing
-            values = (ahead - values) / step
-            values[is_last] = 0.0 if is_last.all() else values[~is_last][-1]
-            values[[*stretch.restarts]] = np.nan
+            rates = (values[ends] - values[begins]) / (time[ends] - time[begins])
+            values = np.full(time.size, rates[-1] if rates.size else 0.0)
+            values[begins] = np.where(crosses_restart, np.nan, rates)
         columns.append(values)
     return np.column_stack(columns)
 
@@ -225,19 +234,21 @@ def _left_out_distances(points: Array, block: Rows, chosen: Rows) -> list[Array]
 
 
 def distances(region: Region, stretch: Stretch) -> Distances:
-    """Return the distance of signals from a region, at up to MAX_REGION_ROWS rows about one step of the logs apart."""
+    """Return the distance of consecutive samples from a region, or of MAX_REGION_ROWS of them, at their starts."""
     from scipy.spatial import cKDTree
 
-    size = stretch.time.size
-    usual = float(np.median(np.diff(stretch.time))) if size > 1 else 0.0
-    rows = slice(None, None, max(1, -(-size // MAX_REGION_ROWS), round(region.step / usual) if usual > 0.0 else 1))
+    ends = _sample_ends(stretch.time, region.step)
+    begins, next_begin = [0], ends.tolist()
+    while (begin := next_begin[begins[-1]]) < len(next_begin):
+        begins.append(begin)
+    rows = np.array(begins)[:: -(-len(begins) // MAX_REGION_ROWS)]
     known = [j for j, c in enumerate(region.coordinates) if c.signal in stretch.signals]
     missing = [c.name for c in region.coordinates if c.signal not in stretch.signals]
     if not known:
         time = stretch.time[rows]
         return Distances(time, np.full(time.size, np.nan), np.zeros(time.size, np.intp), missing)
     coordinates = [region.coordinates[j] for j in known]
-    values = _table(stretch, [(c.signal, c.kind) for c in coordinates], region.step)[rows]
+    values = _table(stretch, [(c.signal, c.kind) for c in coordinates], ends)[rows]
     low, scale = (np.array([getattr(c, key) for c in coordinates]) for key in ("low", "scale"))
     points = np.array(region.points)[:, known]
     good = np.isfinite(values).all(axis=1)

@@ -12,6 +12,7 @@ import numpy as np
 from cosim.blocks.fmu import FmuBlock
 from cosim.core.arrays import Array, NamedArrays
 from cosim.core.text import percent
+from cosim.credibility.bands import Bands
 from cosim.credibility.record import read_credibility
 from cosim.credibility.region import Stretch, distances
 from cosim.files.results import Results
@@ -106,8 +107,6 @@ def output_panels(name: str, entry: Validity, time: Array, outputs: NamedArrays)
 
 def band_of(entry: Validity, output: str, ages: Array) -> Array:
     """Return the half-width of the band of an output by the time since the start [s], NaN where unknown."""
-    from cosim.credibility.bands import Bands
-
     return Bands.model_validate(entry["bands"]).at(output, ages)
 
 

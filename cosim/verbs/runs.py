@@ -240,7 +240,7 @@ def sweep_command(
     show(report, open)
 
 
-def build_command(*, json: bool = False, **given: Any) -> None:
+def build_command(*, valid_output: Path | None = None, json: bool = False, **given: Any) -> None:
     """Build the FMUs of a model.
 
     Args:
@@ -248,11 +248,21 @@ def build_command(*, json: bool = False, **given: Any) -> None:
         model (MODEL): Build this model: a registered one, a model.yaml, the folder of a refine, or FILE.py:CLASS.
         design (--design FILE): Design the model's controller with the weights and numbers in this YAML file.
         platforms (NAME,NAME): Platforms of native FMUs (default: this machine).
+        valid_output (FMU): Instead, add the output `valid` to this FMU of refine or fit: true within its logs' region.
 
     Example: cosim build --model results/refine/model.yaml --out build/refined
     """
     given["platforms"] = [p.strip() for text in given["platforms"] for p in text.split(",") if p.strip()]
-    if given.pop("native"):
+    if valid_output is not None:
+        from cosim.credibility.valid_output import add_valid_output
+
+        others = [f"--{name}" for name in ("model", "nearest", "native", "platforms", "design") if given[name]]
+        refuse(Fault(Path(name), 0, 0, "does not apply with --valid-output; remove one of them") for name in others)
+        path, left_out = add_valid_output(valid_output, given["folder"])
+        warn(*(f"{path} has no library for {platform}: {reason}" for platform, reason in left_out.items()))
+        say(f"built {path}")
+        built: list[dict[str, Any]] = [{"fmu": str(path)}]
+    elif given.pop("native"):
         from cosim.fmi.building.build import build_native
 
         fmus = build_native(**given, tell=warn)

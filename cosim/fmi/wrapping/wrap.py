@@ -9,7 +9,7 @@ import zipfile
 from collections.abc import Iterable, Mapping, Sequence
 from math import prod
 from pathlib import Path, PurePosixPath
-from typing import Any
+from typing import Any, NamedTuple
 from xml.etree import ElementTree
 
 from cosim.core.drafts import draft_of
@@ -93,7 +93,32 @@ STEP_FLAGS = {2: ("completedIntegratorStepNotNeeded", "false"), 3: ("needsComple
 
 
 class CannotWrap(ValueError):
-    """Terms cannot be added to an FMU."""
+    """Terms or an output cannot be added to an FMU."""
+
+
+class Indicator(NamedTuple):
+    """The Boolean output `valid` of a wrapped FMU, which is true within the region of the logs.
+
+    Attributes:
+        source: C text with the macros `HAS_REGION` (0: `valid` is always false) and `LEAST_SAMPLE` (least time between
+            the ends of a sample [s]), and `is_inside(begin, end, span, judged)`: whether a sample with these signals
+            at its ends, `span` seconds apart, lies within the region. `judged`: a `Judged` kept between calls.
+        signals: Names of the signals, continuous real inputs and outputs.
+        rates: Signals whose values at the end of a sample matter.
+    """
+
+    source: str
+    signals: tuple[str, ...]
+    rates: tuple[str, ...]
+
+
+VALID = "valid"
+NO_REGION = """#define HAS_REGION 0
+#define LEAST_SAMPLE 0.0
+typedef int Judged;
+#define is_inside(begin, end, span, judged) 0
+"""
+NO_INDICATOR = Indicator(NO_REGION, (), ())
 
 
 def xml_of(root: Any) -> bytes:
@@ -199,7 +224,13 @@ HOOK_MACROS = {"SHAPES": "shape_all", "PORTS": "port_inputs", "RATES": "added_ra
 
 
 def wrap(
-    original: Path, terms: TermCode, values: Mapping[str, float], out: Path, *, substep: float | None = None
+    original: Path,
+    terms: TermCode,
+    values: Mapping[str, float],
+    out: Path,
+    *,
+    substep: float | None = None,
+    indicator: Indicator | None = None,
 ) -> dict[str, str]:
     """Write an FMU that contains the original and adds terms, completely or not at all.
 
@@ -211,6 +242,7 @@ def wrap(
         substep: Longest substep [s] of co-simulation, during which forces and shaped inputs are constant, for an
             original that accepts any step; by default the communication step. In model exchange, terms with memory need
             a substep.
+        indicator: Code of the output `valid`; None adds no such output.
 
     Returns:
         Platform folder of the original → reason why the wrapper has no library for it.
@@ -223,22 +255,28 @@ def wrap(
     """
     about = read_description(original)
     if about.fmiVersion[0] not in "23":
-        raise CannotWrap(f"{original.name} is FMI {about.fmiVersion}; terms can be added to FMI 2.0 and 3.0")
+        raise CannotWrap(f"{original.name} is FMI {about.fmiVersion}; only FMI 2.0 and 3.0 can be wrapped")
     fmi = int(about.fmiVersion[0])
     interfaces = _interfaces(original.name, about, terms)
+    if indicator is not None:
+        _check_indicator(original.name, about, indicator)
     first = max((int(v.valueReference) for v in about.modelVariables), default=-1) + 1
-    config = _config(about, terms, values, interfaces, first=first, substep=substep or 0.0)
+    config = _config(about, terms, values, interfaces, first=first, substep=substep or 0.0, indicator=indicator)
     root = describe_wrapped(description_of(original), original.name, interfaces, terms, values, first)
+    if indicator is not None:
+        _declare_valid(root, indicator, first + len(terms.parameters))
     headers = {p.name: p.read_text(encoding="utf-8") for p in sorted(fmi_headers().glob(f"fmi{fmi}*.h"))}
     types = headers[f"fmi{fmi}FunctionTypes.h"]
     files = "loading.c", "history.c", "wrapper.c", f"wrapper{fmi}.c"
     own = {name: (FOLDER / name).read_text(encoding="utf-8") for name in files}
-    order = ["config.h", f"fmi{fmi}Functions.h", "functions.h", "loading.c", "terms.c", f"wrapper{fmi}.c", "forward.c"]
+    order = ["config.h", f"fmi{fmi}Functions.h", "functions.h", "loading.c", "terms.c", "region.c"]
+    order += [f"wrapper{fmi}.c", "forward.c"]
     texts = {
         "all.c": "#define _GNU_SOURCE\n" + "".join(f'#include "{name}"\n' for name in order),
         "functions.h": function_table(types),
         "forward.c": forwarding_code(types, own["wrapper.c"] + own[f"wrapper{fmi}.c"]),
         "terms.c": f"/* Terms added to the original. */\n#include <math.h>\n\n{terms.source}\n",
+        "region.c": (indicator or NO_INDICATOR).source,
         **headers,
         **own,
     }
@@ -285,6 +323,50 @@ def _interfaces(file: str, about: Any, terms: TermCode) -> dict[str, str]:
     return found
 
 
+def _check_indicator(file: str, about: Any, indicator: Indicator) -> None:
+    """Raise CannotWrap if the FMU cannot have the output `valid`."""
+    variables = {v.name: v for v in about.modelVariables}
+    if VALID in variables:
+        raise CannotWrap(f'{file} already has a variable "{VALID}"; rename that variable in the tool that made the FMU')
+    for name in indicator.signals:
+        v = variables.get(name)
+        if v is None or v.type not in REALS or v.shape:
+            kind = "no variable" if v is None else "an array" if v.shape else f"of type {v.type}"
+            raise CannotWrap(
+                f"{name} is {kind} of {file}; the output `{VALID}` needs scalar real inputs and outputs. "
+                "`cosim run` computes the validity of a run also without this output"
+            )
+
+
+def _declare_valid(root: Any, indicator: Indicator, reference: int) -> None:
+    """Add the output `valid`. It depends on what the outputs at the end of a sample depend on."""
+    from lxml import etree
+
+    fmi, variables, structure = int(root.get("fmiVersion")[0]), root.find("ModelVariables"), root.find("ModelStructure")
+    for exchange in root.findall("ModelExchange"):
+        exchange.set(*STEP_FLAGS[fmi])  # a sample ends at a step of the host's solver
+    head = {"name": VALID, "valueReference": str(reference), "causality": "output", "variability": "discrete"}
+    head |= {"initial": "exact", "description": "true while inputs, outputs and rates are in the region of the logs"}
+    node = etree.SubElement(variables, "ScalarVariable" if fmi == 2 else "Boolean", head)
+    is_valid = "true" if indicator.signals else "false"
+    (etree.SubElement(node, "Boolean") if fmi == 2 else node).set("start", is_valid)
+    declared = [node for node in variables if isinstance(node.tag, str)]
+    numbers = {n.get("name"): str(k) if fmi == 2 else n.get("valueReference") for k, n in enumerate(declared, 1)}
+    group, tag, key = structure, "Output", "valueReference"
+    if fmi == 2:
+        group, tag, key = structure.find("Outputs"), "Unknown", "index"
+        if group is None:
+            structure.insert(0, group := etree.Element("Outputs"))
+    outputs = group.findall(tag)
+    known = {output.get(key): output.get("dependencies") for output in outputs}
+    found = [known.get(numbers[name]) for name in indicator.rates]
+    entry = etree.Element(tag, {key: numbers[VALID]})
+    if None not in found:
+        dependencies = {int(number) for text in found for number in str(text).split()}
+        entry.set("dependencies", " ".join(map(str, sorted(dependencies))))
+    group.insert(group.index(outputs[-1]) + 1 if outputs else 0, entry)
+
+
 def _config(
     about: Any,
     terms: TermCode,
@@ -293,6 +375,7 @@ def _config(
     *,
     first: int,
     substep: float,
+    indicator: Indicator | None,
 ) -> str:
     """Return config.h (sizes and tables of variables); tokens and the path of the original library are added later."""
     variables, parameters = {v.name: v for v in about.modelVariables}, terms.parameters
@@ -300,6 +383,7 @@ def _config(
     def references(names: Iterable[str]) -> list[int]:
         return [int(variables[name].valueReference) for name in names]
 
+    signals = indicator.signals if indicator else ()
     names, dampings = [p.name for p in parameters], [d.parameter for d in terms.directions]
     own = {name: float(variables[name].start or 0.0) for name in dampings}
     own |= {name: float(value) for name, value in values.items() if name not in names}
@@ -316,7 +400,7 @@ def _config(
         for k, reference in enumerate(found):
             places.setdefault(reference, {})[role] = k
     for v in about.modelVariables:
-        if v.shape and v.type in DOUBLE_TYPES:
+        if v.shape and v.type in (*DOUBLE_TYPES, "Boolean"):
             places.setdefault(int(v.valueReference), {})["size"] = prod(v.shape)
     absent = {"input": -1, "output": -1, "rate": -1, "own": -1, "size": 1}
     rows = [f"{{{r}u, {', '.join(map(str, (absent | there).values()))}}}" for r, there in sorted(places.items())]
@@ -334,6 +418,9 @@ def _config(
         "FIRST_PARAMETER": f"{first}u",
         "DELAY": f"({names.index(terms.delay) if terms.delay else -1})",
         "SUBSTEP": number(substep),
+        "HAS_VALID": int(indicator is not None),
+        "VALID_REFERENCE": f"{first + len(parameters)}u",
+        "SIGNALS": len(signals),
         "ANY_STEP": int(takes_any_step(about) and not may_pend),  # a pending step continues in the background
         **{flag: int(hook in terms.hooks) for flag, hook in HOOK_MACROS.items()},
     }
@@ -342,6 +429,7 @@ def _config(
         "STATE_REFERENCE": references(terms.states) if "CoSimulation" in interfaces else [],
         "OUTPUT_REFERENCE": roles["output"],
         "OWN_REFERENCE": roles["own"],
+        "SIGNAL_REFERENCE": references(signals),
     }
     real = {
         "INPUT_START": [variables[name].start or 0.0 for name in terms.inputs],
@@ -422,8 +510,7 @@ def _libraries(
     if not members:
         reasons = "; ".join(f"{name}: {reason}" for name, reason in left_out.items())
         raise NoCompiler(
-            f"the refined FMU of {file} needs a small library around the original, but none of its platforms can be "
-            f"compiled for: {reasons}"
+            f"{file} needs a small library around its own, but none of its platforms can be compiled for: {reasons}"
         )
     return members, left_out
 

@@ -25,6 +25,8 @@ typedef struct {
     double time, since, length, coming; /* coming: time of a jump of the inputs that is announced as an event, with the delay */
     double u[NU + 1], before[NU + 1], shaped[NU + 1], sent[NU + 1];
     double x[NX + 1], m[NM + 1], p[NP], own[OWNS + 1];
+    int valid, has_sample, is_accepted; /* of the output `valid`, with the time and the signals at the start of a sample */
+    double sample_time, sample[SIGNALS + 1];
 } Course;
 
 struct Wrapper {
@@ -38,6 +40,7 @@ struct Wrapper {
     Reference *references; /* room for values that are sent on */
     double *values;
     size_t room;
+    Judged judged;
 };
 
 static Status worse(Status a, Status b)
@@ -177,6 +180,7 @@ static Status commit(Wrapper *w)
         if (is_delayed(c)) forget(&w->history, c->time - DELAY_TIME(c));
     }
     c->since = c->time;
+    c->is_accepted = 1;
     memcpy(c->before, c->u, sizeof c->u);
     return status;
 }
@@ -251,6 +255,7 @@ static void begin(Wrapper *w)
     memset(c, 0, sizeof *c);
     c->length = SUBSTEP > 0.0 ? SUBSTEP : 1e-3;
     c->coming = HUGE_VAL;
+    c->valid = HAS_REGION;
     memcpy(c->u, INPUT_START, sizeof(double) * NU);
     memcpy(c->before, INPUT_START, sizeof(double) * NU);
     memcpy(c->p, PARAMETER_START, sizeof(double) * PARAMETERS);
@@ -368,6 +373,7 @@ Status FMI(ExitInitializationMode)(FMI(Component) a0)
     c->phase = RUNNING;
     c->in_event = w->exchange;
     c->since = c->time;
+    c->is_accepted = 1;
     c->coming = HUGE_VAL;
     c->knows_states = 0;
     if (c->awake) c->stale = 1;
@@ -548,6 +554,72 @@ static Status get_reals(Wrapper *w, const Reference vr[], size_t count, double v
     return worse(status, change_values(w, vr, count, value));
 }
 
+/* -- the output `valid` --------------------------------------------------------------------------------------------
+ *
+ * A sample begins at a communication point or an accepted step of the solver, and ends at the first one at least
+ * LEAST_SAMPLE later. `valid` is that of the last complete sample. In model exchange, is_accepted holds from the end of a
+ * step of the solver, or an event, until the solver tries other times or states. */
+
+#define IS_ACCEPTED(w) ((w)->course.is_accepted || !(w)->exchange)
+
+static int ends_sample(const Wrapper *w)
+{
+    const Course *c = &w->course;
+    return c->has_sample && IS_ACCEPTED(w) && c->time - c->sample_time >= LEAST_SAMPLE;
+}
+
+/* The signals of now, if a sample ends, and the value of `valid`. */
+static Status find_valid(Wrapper *w, double *now, int *valid)
+{
+    const Course *c = &w->course;
+    *valid = c->valid;
+    if (!ends_sample(w)) return FMI(OK);
+    const Status status = get_reals(w, SIGNAL_REFERENCE, SIGNALS, now, SIGNALS);
+    if (!REFUSED(status)) *valid = is_inside(c->sample, now, c->time - c->sample_time, &w->judged);
+    return status;
+}
+
+/* Before time or states change at an accepted point: a sample that ends there is judged, and the next one begins. */
+static Status note_sample(Wrapper *w)
+{
+    Course *c = &w->course;
+    Status status = FMI(OK);
+    double now[SIGNALS + 1];
+    if (!HAS_REGION || c->phase != RUNNING || c->in_event) return status;
+    const int is_end = ends_sample(w), is_first = IS_ACCEPTED(w) && (!c->has_sample || c->time <= c->sample_time);
+    if (is_end) status = find_valid(w, now, &c->valid);
+    else if (is_first) status = get_reals(w, SIGNAL_REFERENCE, SIGNALS, now, SIGNALS);
+    if (REFUSED(status)) return status;
+    if (is_end || is_first) {
+        memcpy(c->sample, now, sizeof(double) * SIGNALS);
+        c->sample_time = c->time;
+        c->has_sample = 1;
+    }
+    c->is_accepted = 0;
+    return status;
+}
+
+static Status get_booleans(Wrapper *w, const Reference vr[], size_t count, FMI(Boolean) value[], size_t values)
+{
+    Status status = settle(w);
+    size_t at = 0, own = 0;
+    for (size_t k = 0; HAS_VALID && k < count; k++) own += vr[k] == VALID_REFERENCE;
+    if (REFUSED(status)) return status;
+    if (own == 0) return worse(status, GET_BOOLEANS(w, vr, count, value, values));
+    for (size_t k = 0; k < count && !REFUSED(status); k++) {
+        const size_t size = special_of(vr[k])->size;
+        double now[SIGNALS + 1];
+        int valid;
+        if (at + size > values) return refuse(w, "only %zu values for %zu variables", values, count);
+        if (vr[k] == VALID_REFERENCE) status = worse(status, find_valid(w, now, &valid)), value[at] = valid;
+        else status = worse(status, GET_BOOLEANS(w, vr + k, 1, value + at, size));
+        at += size;
+    }
+    return status;
+}
+
+/* -- values of the host -------------------------------------------------------------------------------------------- */
+
 /* Note a value that the host sets; 1: it is the original's too; 0: it is not; -1: it is refused. */
 static int note(Wrapper *w, Reference reference, const Special *s, double value)
 {
@@ -609,9 +681,10 @@ static long substeps_of(const Wrapper *w, double h)
 static Status take_steps(Wrapper *w, double t, double h, FMI(Boolean) no_state_before, Ending *end)
 {
     Course *c = &w->course;
-    Status status = FMI(OK);
+    Status status = note_sample(w);
+    if (REFUSED(status)) return status;
     if (!c->awake || !ACTS) {
-        status = settle(w);
+        status = worse(status, settle(w));
         if (REFUSED(status)) return status;
         c->time = c->since = t + h;
         return worse(status, one_step(w, t, h, no_state_before, end));
@@ -646,9 +719,11 @@ Status FMI(SetTime)(FMI(Component) a0, double time)
 {
     KNOWN(a0);
     HAS(SetTime);
+    const Status status = note_sample(w);
+    if (REFUSED(status)) return status;
     w->course.time = time;
     w->course.stale = w->course.awake;
-    return BOTH(w, SetTime, time);
+    return worse(status, BOTH(w, SetTime, time));
 }
 
 Status FMI(SetContinuousStates)(FMI(Component) a0, const double x[], size_t count)
@@ -656,12 +731,14 @@ Status FMI(SetContinuousStates)(FMI(Component) a0, const double x[], size_t coun
     KNOWN(a0);
     HAS(SetContinuousStates);
     Course *c = &w->course;
+    const Status status = note_sample(w);
+    if (REFUSED(status)) return status;
     if (c->awake && count == NX) {
         memcpy(c->x, x, sizeof(double) * NX);
         c->knows_states = 1;
         if (PORTS) c->stale = 1;
     }
-    return BOTH(w, SetContinuousStates, x, count);
+    return worse(status, BOTH(w, SetContinuousStates, x, count));
 }
 
 static Status get_derivatives(Wrapper *w, double dx[], size_t count)
@@ -703,10 +780,16 @@ Status FMI(CompletedIntegratorStep)(FMI(Component) a0, FMI(Boolean) no_state_bef
 {
     KNOWN(a0);
     HAS(CompletedIntegratorStep);
-    const Status status = settle(w);
+    Status status = settle(w);
     if (REFUSED(status)) return status;
     if (REFUSED(commit(w))) return FMI(Error);
-    return worse(status, BOTH(w, CompletedIntegratorStep, no_state_before, event, terminate));
+    status = worse(status, BOTH(w, CompletedIntegratorStep, no_state_before, event, terminate));
+    double now[SIGNALS + 1];
+    int valid;
+    if (REFUSED(status)) return status;
+    status = worse(status, find_valid(w, now, &valid));
+    if (valid != w->course.valid) *event = FMI(True); /* a discrete variable changes in event mode */
+    return status;
 }
 
 /* Before discrete states are updated: delayed inputs that are due have arrived. */

@@ -5,6 +5,7 @@
 #define SET_IN(w, instance, vr, count, value) (w)->f.SetReal(instance, vr, count, value)
 #define GET_ALL(w, vr, count, value, values) GET(w, vr, count, value)
 #define SET_ALL(w, vr, count, value, values) SET(w, vr, count, value)
+#define GET_BOOLEANS(w, vr, count, value, values) (w)->f.GetBoolean((w)->component, vr, count, value)
 
 typedef struct {
     fmi2CallbackFunctions callbacks;
@@ -98,6 +99,13 @@ fmi2Status fmi2SetReal(fmi2Component a0, const fmi2ValueReference vr[], size_t c
 {
     KNOWN(a0);
     return set_reals(w, vr, count, value, count);
+}
+
+fmi2Status fmi2GetBoolean(fmi2Component a0, const fmi2ValueReference vr[], size_t count, fmi2Boolean value[])
+{
+    KNOWN(a0);
+    HAS(GetBoolean);
+    return get_booleans(w, vr, count, value, count);
 }
 
 fmi2Status fmi2GetDirectionalDerivative(fmi2Component a0, const fmi2ValueReference unknown[], size_t unknowns,

@@ -5,6 +5,7 @@
 #define SET_IN(w, instance, vr, count, value) (w)->f.SetFloat64(instance, vr, count, value, count)
 #define GET_ALL(w, vr, count, value, values) (w)->f.GetFloat64((w)->component, vr, count, value, values)
 #define SET_ALL(w, vr, count, value, values) BOTH(w, SetFloat64, vr, count, value, values)
+#define GET_BOOLEANS(w, vr, count, value, values) (w)->f.GetBoolean((w)->component, vr, count, value, values)
 
 /* What FMI 2.0 names otherwise. */
 #define fmi3Component fmi3Instance
@@ -136,6 +137,13 @@ fmi3Status fmi3SetFloat64(fmi3Instance a0, const fmi3ValueReference vr[], size_t
 {
     KNOWN(a0);
     return set_reals(w, vr, count, value, values);
+}
+
+fmi3Status fmi3GetBoolean(fmi3Instance a0, const fmi3ValueReference vr[], size_t count, fmi3Boolean value[], size_t values)
+{
+    KNOWN(a0);
+    HAS(GetBoolean);
+    return get_booleans(w, vr, count, value, values);
 }
 
 #define DERIVATIVE(name) \
