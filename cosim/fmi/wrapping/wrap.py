@@ -330,7 +330,7 @@ def _check_indicator(file: str, about: Any, indicator: Indicator) -> None:
         raise CannotWrap(f'{file} already has a variable "{VALID}"; rename that variable in the tool that made the FMU')
     for name in indicator.signals:
         v = variables.get(name)
-        if v is None or v.type not in REALS or v.shape:
+        if v is None or v.type not in DOUBLE_TYPES or v.shape:
             kind = "no variable" if v is None else "an array" if v.shape else f"of type {v.type}"
             raise CannotWrap(
                 f"{name} is {kind} of {file}; the output `{VALID}` needs scalar real inputs and outputs. "
