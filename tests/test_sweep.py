@@ -232,6 +232,25 @@ def test_a_library_that_keeps_a_parameter_of_an_earlier_run_is_loaded_for_each_r
     assert levels[:, -1].tolist() == [1.0, 2.0, 3.0, 4.0, 5.0]
 
 
+@pytest.mark.parametrize("functions", ["static double kept; static int has;\n", "static __thread double kept, has;\n"])
+def test_instances_of_an_fmu_do_not_share_the_variables_of_its_library(tmp_path: Path, functions: str) -> None:
+    step = "if (!has) { kept = p; has = 1; } y = kept;"
+    model = Model("parameter p = 1, y = 0", functions=functions, step=step, name="own")
+    parts = "".join(f"  m{k}: {{fmu: {model.fmu()}, start: {{p: {k}}}}}\n" for k in range(1, 4))
+    (tmp_path / "own.yaml").write_text(f"name: own\nduration: 1\nstep: 0.5\ncomponents:\n{parts}")
+    results = read_results(cosim.run(tmp_path / "own.yaml", tmp_path / "out", report=False).folder / "results.csv")
+    assert [results[f"m{k}.y"][-1] for k in range(1, 4)] == [1.0, 2.0, 3.0]
+
+
+def test_an_fmu_that_is_replaced_by_another_one_is_unpacked_again(tmp_path: Path) -> None:
+    (tmp_path / "one.yaml").write_text("name: one\nduration: 1\nstep: 0.5\ncomponents: {m: {fmu: m.fmu}}\n")
+    for value in ("3", "4"):
+        model = Model("parameter p = 1, y = 0", step=f"y = {value};", name=f"is{value}")
+        (tmp_path / "m.fmu").write_bytes(model.fmu().read_bytes())
+        run = cosim.run(tmp_path / "one.yaml", tmp_path / value, report=False, in_process=True)
+        assert run["m.y"][-1] == float(value)
+
+
 def test_a_sweep_of_which_no_run_ends_is_a_failure(tanks: Callable[..., Path]) -> None:
     path = tanks("scenario: tanks.yaml\nvary: {tank.draw.flow: {values: [1.0e-1, -1.0e-1]}}\n")
     text = (path.parent / "tanks.yaml").read_text()

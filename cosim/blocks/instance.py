@@ -29,7 +29,7 @@ from cosim.core.drafts import is_full
 from cosim.core.errors import CallFailed, DiskFull, FmuError, Terminated
 from cosim.core.messages import Note
 from cosim.core.scratch import process_folder
-from cosim.files.archive import unpack
+from cosim.files.archive import unpack, unpack_once
 from cosim.fmi.description import (
     C_CODE,
     INTERFACE_ATTRIBUTES,
@@ -45,6 +45,7 @@ from cosim.fmi.lifetime import KEEPER, let_go_at_exit
 LAST_SUCCESSFUL, TERMINATED = 2, 3  # fmi2StatusKind
 BOOLEAN, DOUBLE = ctypes.c_bool, ctypes.c_double
 SIZE, REFERENCE, INT = ctypes.c_size_t, ctypes.c_void_p, ctypes.c_int
+CALL = ctypes.CFUNCTYPE(INT)
 MOVED = REFERENCE, REFERENCE, SIZE, REFERENCE, SIZE  # arguments that set or get values; the last one is of FMI 3.0
 DO_STEP_TYPES = {
     1: ctypes.CFUNCTYPE(INT, REFERENCE, DOUBLE, DOUBLE, ctypes.c_byte),
@@ -55,8 +56,9 @@ Step = Callable[[Any, float, float, int], int]
 Listen = Callable[[int, bytes | None], None]  # status and message
 STATUS_NAMES = ("OK", "Warning", "Discard", "Error", "Fatal", "Pending")
 WARNING, DISCARD, FATAL = 1, 2, 4
-LONGEST_MESSAGE = 1000  # characters of a message
-KEPT_FIRST, KEPT_LAST = 50, 50  # number of first and last messages that are kept
+LONGEST_MESSAGE = 1000  # characters
+KEPT_FIRST, KEPT_LAST = 50, 50  # messages
+LAST = ""  # name of the instance made last
 _listeners: dict[str, Callable[[], Listen | None]] = {}  # instance name → weak reference to its listener
 
 
@@ -67,7 +69,7 @@ class _Functions(dict[str, Any]):
         self._library, self._signatures = fmu.dll, signatures
         self._prefix = f"{fmu.modelIdentifier}_" if next(iter(signatures)).startswith("fmi1") else ""
         for name in signatures:
-            find_symbol(fmu.dll, self._symbol(name))
+            fmu.dll[self._symbol(name)]  # AttributeError without it
 
     def _symbol(self, name: str) -> str:
         return f"{self._prefix}{name.replace('fmi1', 'fmi')}" if self._prefix else name
@@ -77,19 +79,6 @@ class _Functions(dict[str, Any]):
         function.argnames, function.argtypes, function.restype = self._signatures[name]
         self[name] = function
         return function
-
-
-def find_symbol(library: Any, name: str) -> None:
-    """Raise AttributeError if a loaded library does not contain a function."""
-    try:
-        from _ctypes import dlsym
-    except ImportError:  # Windows
-        getattr(library, name)
-        return
-    try:
-        dlsym(library._handle, name)
-    except OSError as error:
-        raise AttributeError(str(error)) from None
 
 
 @functools.cache
@@ -250,6 +239,9 @@ class Instance:
             self._folder = self.place
             return self.place
         try:
+            if not ((code := code_of(self.path)).has_variables or code.has_resources):
+                self._folder = self.place = unpack_once(self.path)
+                return self.place
             self._folder = folder = Path(tempfile.mkdtemp(prefix="fmu-", dir=process_folder()))
             unpack(self.path, folder)
         except Exception as error:  # FMPy raises bare Exceptions, zipfile its own.
@@ -300,6 +292,7 @@ class Instance:
         names = {"modelIdentifier": library.stem}
         if self.version == 1:
             names = {"modelIdentifier": str(self.about.modelIdentifier), "libraryPath": str(library)}
+        self._functions: dict[tuple[Any, str], Any] = {}
         self.fmu = kind(guid=self.description.guid, unzipDirectory=str(folder), instanceName=self.name, **names)
 
     def _instantiate(self) -> None:
@@ -318,8 +311,8 @@ class Instance:
         if self.version == 3:
             options["logMessage"] = lambda _, status, category, message: self.listen(status, message)
         else:
-            callbacks = _callbacks(self.version, self.name, self.listen)
-            options["functions" if self.version == 1 else "callbacks"] = callbacks
+            _listeners[self.name] = _listeners[LAST] = weakref.WeakMethod(self.listen)
+            options["functions" if self.version == 1 else "callbacks"] = _callbacks(self.version)
         self.fmu.instantiate(loggingOn=logging, **options)
 
     # -- call sequence ----------------------------------------------------------------------------
@@ -351,15 +344,17 @@ class Instance:
         return f"{self.about.modelIdentifier}_fmi{name}" if self.version == 1 else f"{self.prefix}{name}"
 
     def bare(self, prototype: Any, name: str) -> Any:
-        """Return a library function that can be called directly, without FMPy's checks and copies."""
-        function = getattr(self.fmu.dll, self.symbol(name))
-        return prototype(ctypes.cast(function, ctypes.c_void_p).value)
+        """Return a library function without FMPy's checks and copies."""
+        if (key := (prototype, name)) not in self._functions:
+            function = getattr(self.fmu.dll, self.symbol(name))
+            self._functions[key] = prototype(ctypes.cast(function, ctypes.c_void_p).value)
+        return self._functions[key]
 
     def prepared(self, name: str, *arguments: Any) -> partial[int]:
         """Return a set or get function of the library, with arguments that are converted only once."""
         kinds = MOVED if self.version == 3 else MOVED[:-1]
         values = [kind(value) for kind, value in zip(kinds, (self.component, *arguments), strict=False)]
-        return partial(self.bare(ctypes.CFUNCTYPE(INT), name), *values)
+        return partial(self.bare(CALL, name), *values)
 
     def step_function(self) -> Any:
         """Return the library's function for a step."""
@@ -475,19 +470,22 @@ def end_of(name: str, reached: float) -> EarlyEnd:
     return EarlyEnd(name, reached, Note("the FMU ended the simulation"), readable=True)
 
 
-def _callbacks(version: int, name: str, listen: Listen) -> Any:
-    """Return the callbacks of an FMI 1.0 or 2.0 instance, which route messages by instance name.
+@functools.cache
+def _callbacks(version: int) -> Any:
+    """Return the callbacks of all instances of FMI 1.0 or 2.0; a message goes to the instance of its name.
 
-    This is necessary because pythonfmu sends all messages of a process to the last instance.
+    FMPy passes all messages of a process to one function, and pythonfmu gives all of them the name of one instance.
     """
     import fmpy
 
     module = import_module(f"fmpy.fmi{version}")
-    _listeners[name] = weakref.WeakMethod(listen)
 
     def logger(_: Any, instance: bytes | None, status: int, category: Any, message: bytes | None) -> None:
-        listener = _listeners.get((instance or b"").decode("utf-8", "replace"), lambda: None)() or listen
-        listener(status, message)
+        listeners = (
+            _listeners.get(name, lambda: None)() for name in ((instance or b"").decode("utf-8", "replace"), LAST)
+        )
+        if (listener := next(filter(None, listeners), None)) is not None:
+            listener(status, message)
 
     functions = {"Logger": logger, "AllocateMemory": fmpy.calloc, "FreeMemory": fmpy.free}
     callbacks = getattr(module, f"fmi{version}CallbackFunctions")()

@@ -16,7 +16,7 @@ import zipfile
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
-from functools import cache, lru_cache
+from functools import cache, cached_property, lru_cache
 from pathlib import Path, PurePosixPath
 from zlib import crc32
 
@@ -27,7 +27,10 @@ from cosim.core.messages import CheckNote, CheckWarning
 from cosim.files.archive import DAMAGES, DESCRIPTION
 
 ELF_MAGIC = b"\x7fELF\x02\x01"
-DYNAMIC, DYNAMIC_SYMBOLS = 6, 11  # types of sections
+ALL_SYMBOLS, DYNAMIC, DYNAMIC_SYMBOLS = 2, 6, 11  # types of sections
+DATA_SYMBOL, THREAD_SYMBOL = 1, 6  # types of symbols of data
+CONSTANT_SECTION = ".data.rel.ro"  # whose data are constant after relocation
+COMPILER_VARIABLE = re.compile(r"completed(\.\d+)?")  # which the compiler puts into every library
 NEEDED, SONAME = 1, 14  # tags of the dynamic section
 UNIQUE, EXPORTED = 10, (1, 2, 10)  # bindings of symbols: global, weak, unique
 VISIBLE = (0, 3)  # default, protected
@@ -44,13 +47,15 @@ class ElfLibrary:
         soname: Name for the loader; "" if it is the file name.
         needed: Names of the libraries that this library needs.
         defined: Symbols that other libraries can refer to.
-        unique: Symbols in `defined` that exist only once in a process (C++, `STB_GNU_UNIQUE`).
+        unique: Those of them that exist once in a process (C++, `STB_GNU_UNIQUE`).
+        has_variables: Whether it has variables that its instances share, as far as is known.
     """
 
     soname: str = ""
     needed: set[str] = field(default_factory=set)
     defined: set[str] = field(default_factory=set)
     unique: set[str] = field(default_factory=set)
+    has_variables: bool = True
 
 
 def read_elf(content: bytes, *, symbols: bool = True) -> ElfLibrary:
@@ -63,7 +68,7 @@ def read_elf(content: bytes, *, symbols: bool = True) -> ElfLibrary:
 
 def _read(content: bytes, with_symbols: bool) -> ElfLibrary:
     (first,) = struct.unpack_from("<Q", content, 40)
-    size, count = struct.unpack_from("<HH", content, 58)
+    size, count, of_names = struct.unpack_from("<HHH", content, 58)
     sections = [struct.unpack_from("<IIQQQQI", content, first + k * size) for k in range(count)]
 
     def text(start: int) -> str:
@@ -85,6 +90,19 @@ def _read(content: bytes, with_symbols: bool) -> ElfLibrary:
             is_defined = (symbols["section"] != 0) & (symbols["size"] > 0) & is_visible & np.isin(binding, EXPORTED)
             elf.defined |= {text(strings + name) for name in symbols["name"][is_defined].tolist()}
             elf.unique |= {text(strings + name) for name in symbols["name"][is_defined & (binding == UNIQUE)].tolist()}
+        elif kind == ALL_SYMBOLS and with_symbols:
+            strings = sections[link][4]
+            symbols = np.frombuffer(content, ELF_SYMBOL, length // ELF_SYMBOL.itemsize, offset)
+            names = [text(sections[of_names][4] + name) for name, *_ in sections]
+            writable = [
+                k
+                for k, (_, _, flags, *_) in enumerate(sections)
+                if flags & 1 and not names[k].startswith(CONSTANT_SECTION)
+            ]
+            is_data = np.isin(symbols["info"] & 15, (DATA_SYMBOL, THREAD_SYMBOL)) & (symbols["size"] > 0)
+            of_data = symbols["name"][is_data & np.isin(symbols["section"], writable)].tolist()
+            # Without that of the compiler, local symbols have been removed.
+            elf.has_variables = {bool(COMPILER_VARIABLE.fullmatch(text(strings + name))) for name in of_data} != {True}
     return elf
 
 
@@ -120,6 +138,8 @@ class Code:
         needed: Libraries that the FMU's libraries need.
         libraries: Name and digest of each library in the FMU.
         modules: Python module → checksum of its file.
+        has_variables: Whether instances share variables of a library, as far as is known.
+        has_resources: Whether the FMU has files that an instance may change.
     """
 
     wanted: dict[str, str] = field(default_factory=dict)
@@ -128,6 +148,29 @@ class Code:
     needed: set[str] = field(default_factory=set)
     libraries: set[tuple[str, str]] = field(default_factory=set)
     modules: dict[str, int] = field(default_factory=dict)
+    has_variables: bool = True
+    has_resources: bool = True
+
+    @cached_property
+    def common(self) -> frozenset[str]:
+        """Return the names of code whose global data several FMUs of a process have in common."""
+        return frozenset({*self.wanted, *(name for name in self.needed if not OF_SYSTEM.match(name))})
+
+    @cached_property
+    def needs_own_symbols(self) -> bool:
+        """Return whether this process has symbols of the same names, which its libraries must not find."""
+        if sys.platform != "linux" or not hasattr(os, "RTLD_DEEPBIND") or "LD_PRELOAD" in os.environ:
+            return False
+        if self.symbols & ALLOCATORS or any(name.startswith("libpython") for name in self.needed):
+            return False
+        from _ctypes import dlsym  # type: ignore[attr-defined, unused-ignore]
+
+        process = _process()
+        for symbol in self.symbols:
+            with suppress(OSError):
+                dlsym(process, symbol)
+                return True
+        return False
 
     def clash(self, other: Code) -> str:
         """Return a name under which both FMUs have different code; "" if there is none."""
@@ -140,18 +183,20 @@ def code_of(path: Path) -> Code:
     """Return the code of an FMU; empty if the FMU cannot be read, which is reported when it is loaded."""
     try:
         about = path.stat()
-        return _code_of(path.resolve(), about.st_mtime_ns, about.st_size)
+        return _code_of(path, about.st_mtime_ns, about.st_size, about.st_ino)
     except DAMAGES:
         return Code()
 
 
 @lru_cache(64)
-def _code_of(path: Path, _changed: int, _size: int) -> Code:
+def _code_of(path: Path, _changed: int, _size: int, _file: int) -> Code:
     code = Code()
     with zipfile.ZipFile(path) as archive:
         files = [info for info in archive.infolist() if not info.is_dir()]
         own = {name.decode() for name in IDENTIFIER.findall(archive.read(DESCRIPTION))}
         versions = {*VERSION_FUNCTIONS, *(f"{identifier}_fmiGetVersion" for identifier in own)}
+        code.has_resources = any(info.filename.startswith("resources/") for info in files)
+        elfs = list[ElfLibrary]()
         for info in files:
             folder = PLATFORM.findall(info.filename)
             is_of_here = not folder or any(word in folder[-1] for word in PLATFORM_WORDS)
@@ -163,10 +208,12 @@ def _code_of(path: Path, _changed: int, _size: int) -> Code:
             names = {f"library {n}": digest for n in (name, elf.soname) if n}
             unique = {f"C++ symbol {n}": digest for n in elf.unique if not OF_STD.match(n)}
             is_fmu = name.partition(".")[0] in own or not elf.defined.isdisjoint(versions)
+            elfs.append(elf)
             code.wanted |= unique if is_fmu else names | unique
             code.offered |= names | unique
             code.symbols |= elf.defined
             code.needed |= elf.needed
+    code.has_variables = not elfs or any(elf.has_variables for elf in elfs)
     for name, content in _modules([(info.filename, _digest(info)) for info in files]).items():
         code.wanted[f"Python module {name}"] = code.offered[f"Python module {name}"] = content
         places = f"resources/{name}.py", f"resources/{name}/__init__.py"
@@ -251,13 +298,6 @@ def _soname_and_digest(file: str) -> tuple[str, str]:
     return read_elf(content, symbols=False).soname or Path(file).name, f"{crc32(content):08x}-{len(content)}"
 
 
-def may_share_data(one: Path, other: Path) -> bool:
-    """Return True if two FMUs in a process may share global data: by a library, a C++ symbol or a module."""
-    code, others = code_of(one), code_of(other)
-    libraries = {name for name in code.needed & others.needed if not OF_SYSTEM.match(name)}
-    return bool(libraries or code.wanted.keys() & others.wanted.keys())
-
-
 def separate(fmus: Iterable[tuple[str, Path]], apart: Iterable[str]) -> tuple[set[str], list[str]]:
     """Return the components that need processes of their own, with a note for each.
 
@@ -292,7 +332,7 @@ def own_symbols_first(path: Path, library: Path) -> Iterator[None]:
     and an FMU that needs Python's library.
     """
     handle = None
-    if sys.platform == "linux" and _needs_own_symbols(code_of(path)):
+    if sys.platform == "linux" and code_of(path).needs_own_symbols:
         library, folder = library.resolve(), os.getcwd()
         os.chdir(library.parent)  # as FMPy does
         with suppress(OSError):  # FMPy reports the error when it loads the library
@@ -305,21 +345,6 @@ def own_symbols_first(path: Path, library: Path) -> Iterator[None]:
             from _ctypes import dlclose
 
             dlclose(handle)
-
-
-def _needs_own_symbols(code: Code) -> bool:
-    if sys.platform != "linux" or not hasattr(os, "RTLD_DEEPBIND") or "LD_PRELOAD" in os.environ:
-        return False
-    if code.symbols & ALLOCATORS or any(name.startswith("libpython") for name in code.needed):
-        return False
-    from _ctypes import dlsym  # type: ignore[attr-defined, unused-ignore]
-
-    process = _process()
-    for symbol in code.symbols:
-        with suppress(OSError):
-            dlsym(process, symbol)
-            return True
-    return False
 
 
 @cache

@@ -207,11 +207,11 @@ class Found(NamedTuple):
 def read_credibility(fmu: Path) -> Found:
     """Return the record of an FMU."""
     about = fmu.stat()
-    return _read(fmu.resolve(), about.st_mtime_ns, about.st_size)
+    return _read(fmu, about.st_mtime_ns, about.st_size, about.st_ino)
 
 
 @lru_cache(maxsize=64)
-def _read(fmu: Path, _time: int, _size: int) -> Found:
+def _read(fmu: Path, _time: int, _size: int, _file: int) -> Found:
     try:
         text = member_of(fmu, RECORD)
         if text is None:

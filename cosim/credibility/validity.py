@@ -24,7 +24,9 @@ Validity = Mapping[str, Any]
 def validities(components: Iterable[Any], results: Results) -> dict[str, dict[str, Any]]:
     """Return component → validity in a run, for FMUs with a record."""
     found = {}
-    for block in (component for component in components if isinstance(component, FmuBlock)):
+    for block in components:
+        if not (isinstance(block, FmuBlock) and any(read_credibility(block.path))):
+            continue
         names = {column.partition(".")[2]: column for column in results.columns if column.startswith(f"{block.name}.")}
         signals = {name: results[column] for name, column in names.items()}
         for v in block.description.modelVariables:

@@ -13,6 +13,7 @@ import re
 import shutil
 import stat
 import struct
+import tempfile
 import zipfile
 import zlib
 from collections.abc import Iterator
@@ -23,6 +24,7 @@ from pathlib import Path
 from xml.parsers import expat
 
 from cosim.core.drafts import is_full
+from cosim.core.scratch import process_folder
 
 DESCRIPTION = "modelDescription.xml"
 STRUCTURE = "SystemStructure.ssd"
@@ -101,6 +103,17 @@ def unpack(path: Path, folder: Path, kind: Contents = FMU_CONTENTS) -> None:
         if size > MOST_OF_FREE * shutil.disk_usage(folder).free:
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(folder))
         archive.extractall(folder)
+
+
+def unpack_once(path: Path) -> Path:
+    """Return a folder with the files of an FMU, for all its instances in this process."""
+    about = path.stat()
+    folder = process_folder() / f"fmu-{about.st_dev}-{about.st_ino}-{about.st_mtime_ns}-{about.st_size}"
+    if not folder.is_dir():
+        with tempfile.TemporaryDirectory(dir=folder.parent) as draft:
+            unpack(path, Path(draft, "fmu"))
+            Path(draft, "fmu").replace(folder)
+    return folder
 
 
 @contextmanager

@@ -10,7 +10,9 @@ from __future__ import annotations
 import functools
 import importlib
 import pkgutil
-from collections.abc import Mapping, Set
+from collections.abc import Iterator, Mapping, Set
+from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -105,6 +107,23 @@ class Artefact:
         `unfinished` also accepts results of a stopped command.
         """
         return any((folder / mark).is_file() for mark in (*self.marks, *self.unfinished * unfinished))
+
+
+skipped_files: ContextVar[list[Path] | None] = ContextVar("files of Python that are not executed", default=None)
+
+
+@contextmanager
+def without_execution() -> Iterator[list[Path]]:
+    """Prevent the execution of model files; yield skipped files.
+
+    A model in such a file raises NotExecuted.
+    """
+    skipped: list[Path] = []
+    token = skipped_files.set(skipped)
+    try:
+        yield skipped
+    finally:
+        skipped_files.reset(token)
 
 
 @functools.cache

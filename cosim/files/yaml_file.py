@@ -204,12 +204,13 @@ class YamlFile:
                     raise InputError(faults)
                 remove_part(data, place)
 
-        data, faults = copy.deepcopy(self.root if data is None else data), list[Fault]()
+        data, faults = self.root if data is None else data, list[Fault]()
         for _ in range(ROUNDS):
             try:
                 return model.model_validate(data), faults
             except ValidationError as error:
-                faults = faults or self._faults(model, error, data)
+                if not faults:
+                    data, faults = copy.deepcopy(data), self._faults(model, error, data)
                 kinds = [(location_in(data, e["loc"], e["type"]), e["type"]) for e in error.errors(include_url=False)]
                 (remove or remove_inner)(data, [(place, kind) for place, kind in kinds if place])
         raise InputError(faults)

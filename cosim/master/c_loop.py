@@ -176,10 +176,12 @@ class CompiledSteps:
         """
         first, made, signals = ctypes.addressof(self.master.row), [], self.master.system.signals
         for t in transfers:
-            cells = [ctypes.addressof(self._cells[k]) for k in (t.source, t.target)] if all(t.beside) else (None, None)
-            is_other = signals[t.origin].kind != signals[t.name].kind or bool(self.master.copying.links[t.name])
-            if any(t.beside) and (is_other or not all(t.beside)):
-                raise NotCompiled(f"{t.name} differs from {t.origin}, and doubles cannot represent their values")
+            cells: Sequence[int | None] = (None, None)
+            if any(t.beside):
+                is_other = signals[t.origin].kind != signals[t.name].kind or bool(self.master.copying.links[t.name])
+                if is_other or not all(t.beside):
+                    raise NotCompiled(f"{t.name} has another value than {t.origin}, and no double holds them")
+                cells = [ctypes.addressof(self._cells[k]) for k in (t.source, t.target)]
             links = [link.link() for link in self.master.copying.links[t.name]]
             chain = (ConvertedLink * len(links))(*links)
             ends = first + 8 * t.source, first + 8 * t.target

@@ -24,12 +24,12 @@ from cosim.estimation.problem import Settings
 from cosim.estimation.subject.fmu_subject import FmuSubject
 from cosim.estimation.subject.interface import Subject
 from cosim.estimation.subject.model_subject import ModelSubject
-from cosim.files.artefact import STUDY, Checking, kind_by_keys
+from cosim.files.artefact import STUDY, Checking, kind_by_keys, skipped_files
 from cosim.files.files import FilePath
 from cosim.files.kinds import check_form, refuse_other
 from cosim.files.yaml_file import UNIT_OF_KEY, Positive, PositiveSeconds, YamlFile
 from cosim.fmi.building.declared import MAX_TOLERANCE
-from cosim.fmi.building.file import load_model, own_terms, skipped_files
+from cosim.fmi.building.file import load_model, own_terms
 from cosim.fmi.building.substep import with_substep
 from cosim.fmi.native.compiler import compiler, cure
 from cosim.isolation.limits import Limits, read_limits

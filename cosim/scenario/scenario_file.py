@@ -7,6 +7,7 @@ import hashlib
 import math
 import os
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from functools import reduce
 from itertools import islice
 from operator import getitem
@@ -57,6 +58,7 @@ class ScenarioFile:
         self, path: Path, overrides: Sequence[str] = (), origin: Origin | None = None, option: str = "--set"
     ) -> None:
         self.path, self.overrides = path, [str(override) for override in overrides]
+        self._paths: dict[str, Path] = {}  # of files by their names in the scenario
         check_form(path, SCENARIO, MANIFEST)
         self.yaml = YamlFile(path, origin)
         kind = kind_by_keys(self.yaml.root)
@@ -145,11 +147,11 @@ class ScenarioFile:
 
     def resolve(self, name: str) -> Path:
         """Return a file's path relative to the scenario's folder."""
-        path = self.path.parent / name
-        try:
-            return path.resolve()
-        except (OSError, ValueError):  # a loop of links, or a zero byte
-            return path
+        if name not in self._paths:
+            self._paths[name] = path = self.path.parent / name
+            with suppress(OSError, ValueError):  # a loop of links, or a zero byte
+                self._paths[name] = path.resolve()
+        return self._paths[name]
 
     def component_files(self) -> Iterator[tuple[str, str, Path]]:
         """Yield component, key and path of each FMU and recording."""

@@ -6,7 +6,8 @@ import hashlib
 import json
 import logging
 import shutil
-from collections.abc import Callable, Iterable, Iterator, Mapping
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager, suppress
 from dataclasses import replace
@@ -22,19 +23,20 @@ from cosim.core.extras import optional
 from cosim.core.version import __version__
 from cosim.isolation.process import Worker, start_together
 from cosim.sweeps.reading import Sweep
-from cosim.sweeps.runs import SWEEP_MODULES, Job, RunRequest, RunResult, make_run_apart, work_in
+from cosim.sweeps.runs import SWEEP_MODULES, Job, RunRequest, RunResult, make_runs_apart, work_in
 
 SCHEDULER_TIMEOUT_S = 5  # time limit of a dask scheduler's answer [s]
 RUNS_PER_THREAD = 4  # requested at once from a dask cluster
-REQUESTED = 2  # runs for each process here: the one under way, and the next
+REQUESTED = 2  # messages for each process here: the one under way, and the next
+MESSAGE_S, MOST_IN_MESSAGE = 0.1, 200  # duration [s] and number of the runs that a message asks for
 
 MOMENT = 0.5  # time without a finished run [s] after which finished runs are stored
 
-MakeRuns = Callable[[Iterable[RunRequest]], Iterator[RunResult | None]]  # None: no run has finished for a moment
+MakeRuns = Callable[[Iterable[RunRequest]], Iterator[Sequence[RunResult]]]  # empty: no run has finished for a moment
 
 
-def make_runs_here(job: Job, workers: int | None, requests: Iterable[RunRequest]) -> Iterator[RunResult | None]:
-    """Yield the results of runs in processes of this machine as they finish, and None after a moment without one.
+def make_runs_here(job: Job, workers: int | None, requests: Iterable[RunRequest]) -> Iterator[Sequence[RunResult]]:
+    """Yield the results of runs in processes of this machine, as they are finished, and none after a moment without.
 
     Args:
         workers: Number of processes; None means one per core.
@@ -46,17 +48,20 @@ def make_runs_here(job: Job, workers: int | None, requests: Iterable[RunRequest]
         idle.put(process)
     threads = ThreadPoolExecutor(count, initializer=lambda: work_in(idle.get()))
     try:
-        left, pending = iter(requests), set[Future[RunResult]]()
+        left, pending, together, begin, made = iter(requests), set[Future[list[RunResult]]](), 1, time.perf_counter(), 0
         while True:
-            further = islice(left, REQUESTED * count - len(pending))
-            pending |= {threads.submit(make_run_apart, job, request) for request in further}
+            while len(pending) < REQUESTED * count and (some := [*islice(left, together)]):
+                pending.add(threads.submit(make_runs_apart, job, some))
             if not pending:
                 break
             done, pending = wait(pending, MOMENT, FIRST_COMPLETED)
             if not done:
-                yield None
+                yield ()
                 done, pending = wait(pending, return_when=FIRST_COMPLETED)
-            yield from (future.result() for future in done)
+            for results in (future.result() for future in done):
+                made += len(results)
+                together = min(MOST_IN_MESSAGE, 1 + int(MESSAGE_S * made / (count * (time.perf_counter() - begin))))
+                yield results
         kill = False
     finally:
         threads.shutdown(wait=False, cancel_futures=True)
@@ -103,7 +108,7 @@ def dask_cluster(study: Sweep, address: str, place: Callable[[str], Fault]) -> I
         def teardown(self, worker: Any) -> None:
             shutil.rmtree(Path(worker.local_directory, folder), ignore_errors=True)
 
-    def make_runs(requests: Iterable[RunRequest]) -> Iterator[RunResult]:
+    def make_runs(requests: Iterable[RunRequest]) -> Iterator[Sequence[RunResult]]:
         requests = iter(requests)
         futures = distributed.as_completed([])
         room = RUNS_PER_THREAD * sum(client.nthreads().values())
@@ -122,7 +127,7 @@ def dask_cluster(study: Sweep, address: str, place: Callable[[str], Fault]) -> I
                     f"the dask cluster failed: {reason}; see its logs; completed runs are stored; --resume continues "
                     "the sweep"
                 ) from None
-            yield result
+            yield (result,)
             room = 1
 
     try:
@@ -170,7 +175,7 @@ def make_run_of_dask(job: Job, request: RunRequest, folder: str, places: Mapping
 
     scenario = here / places[str(job.scenario)]
     job = replace(job, scenario=scenario, overrides=with_copies(job.overrides))
-    return make_run_apart(job, replace(request, overrides=with_copies(request.overrides)))
+    return make_runs_apart(job, [replace(request, overrides=with_copies(request.overrides))])[0]
 
 
 def _one_line(error: BaseException) -> str:

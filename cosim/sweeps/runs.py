@@ -5,9 +5,7 @@ Requests and results are plain data, so that workers can be on any machine.
 
 from __future__ import annotations
 
-import tempfile
 import threading
-import time
 import weakref
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -19,12 +17,11 @@ import numpy as np
 
 from cosim.blocks.component import GET
 from cosim.blocks.fmu import FmuBlock
-from cosim.blocks.shared_code import SharedCode
+from cosim.blocks.shared_code import SharedCode, code_of
 from cosim.core.arrays import Array
 from cosim.core.errors import CosimError, Crashed, InputError, TimedOut
-from cosim.core.scratch import process_folder
 from cosim.credibility.validity import validities
-from cosim.files.archive import unpack
+from cosim.files.archive import unpack_once
 from cosim.files.results import Results
 from cosim.isolation import worker as here
 from cosim.isolation.limits import Limits
@@ -39,7 +36,6 @@ from cosim.system.system import build_system
 
 SWEEP_MODULES = ("cosim.sweeps.runs", "fmpy.fmi2", "fmpy.logging")
 CACHED_SYSTEMS = 16  # assembled systems cached per worker
-UNKEPT = 1  # runs of a system before its libraries stay loaded
 NO_MESSAGES: Mapping[str, Any] = {"first": (), "last": (), "omitted": 0}
 
 
@@ -66,17 +62,12 @@ def time_reached(start: float, step: float, rows: int, call: int) -> float:
 
 @dataclass(frozen=True)
 class RunRequest:
-    """Request for a run: number, overrides, start values by component, and seed.
-
-    Attributes:
-        own_copies: True if the run must load copies of all libraries that no earlier run has used.
-    """
+    """Request for a run: number, overrides, start values by component, and seed."""
 
     run: int
     overrides: tuple[str, ...] = ()
     starts: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     seed: int | None = None
-    own_copies: bool = False
 
 
 @dataclass(frozen=True)
@@ -103,37 +94,42 @@ _of_thread = threading.local()
 
 
 def work_in(worker: Worker) -> None:
-    """Let `make_run_apart` in this thread use a worker."""
-    _of_thread.worker, _of_thread.runs, _of_thread.own_copies = worker, 0, False
+    """Let `make_runs_apart` use this worker in this thread."""
+    _of_thread.worker, _of_thread.runs = worker, 0
 
 
-def make_run_apart(job: Job, request: RunRequest) -> RunResult:
-    """Execute a run in this thread's worker process, so that a crash or an exceeded limit fails only this run."""
+def make_runs_apart(job: Job, requests: Sequence[RunRequest]) -> list[RunResult]:
+    """Make runs in a process of this thread by one message, so that a crash or an exceeded limit fails no other run.
+
+    If the process ends or a limit is exceeded, each run is made again by a message of its own, and fails if it is the
+    first one of its process.
+    """
     if not hasattr(_of_thread, "worker"):
         work_in(Worker(*SWEEP_MODULES))
-    worker: Worker = _of_thread.worker
-    own_copies = request.own_copies or _of_thread.own_copies
     try:
         watch = replace(job.watch, spent=[0.0])
-        result: RunResult = worker.call(make_run, job, replace(request, own_copies=own_copies), watch=watch)
-        _of_thread.runs += 1
+        results: list[RunResult] = _of_thread.worker.call(make_runs, job, requests, watch=watch)
     except CosimError as error:
-        runs, _of_thread.runs = _of_thread.runs, 0
-        if own_copies or runs < UNKEPT or not isinstance(error, Crashed | TimedOut):
-            return _failed(job, request, error)
-        result = make_run_apart(job, replace(request, own_copies=True))  # libraries that stayed loaded may be the cause
-        _of_thread.own_copies = result.status == "ok"
-    return result
+        earlier, _of_thread.runs = _of_thread.runs, 0
+        if len(requests) == 1 and not (earlier and isinstance(error, Crashed | TimedOut)):
+            return [_failed(job, requests[0], error)]
+        return [make_runs_apart(job, [request])[0] for request in requests]
+    _of_thread.runs += len(results)
+    return results
+
+
+def make_runs(job: Job, requests: Sequence[RunRequest]) -> list[RunResult]:
+    """Make runs in this process, one after the other."""
+    return [make_run(job, request) for request in requests]
 
 
 def make_run(job: Job, request: RunRequest) -> RunResult:
     """Execute a run in this process; the result of a failed run contains the reason."""
     try:
         swept = assemble(job.scenario, (*job.overrides, *request.overrides))
-        swept.keeps &= not request.own_copies
         results = swept.simulate(request, job.watch.limits)
     except StoppedRun as stop:
-        if _is_stop(stop):
+        if stop.error.exit_code == 130:  # from the keyboard
             raise KeyboardInterrupt from None
         return _failed(job, request, stop.error)
     except CosimError as error:
@@ -153,25 +149,21 @@ def make_run(job: Job, request: RunRequest) -> RunResult:
 
 
 class SweptSystem:
-    """A system that a process simulates many times.
+    """A system that a process simulates again and again, each time with new instances of its FMUs.
 
-    Loading may take longer than a run, so libraries stay loaded from the second run on. Each run has new instances, but
-    a library may keep state of earlier runs. The third run is therefore repeated with new copies of the libraries: if a
-    number differs, or if a run with loaded libraries fails, each run loads new copies.
-
-    Attributes:
-        keeps: True if libraries stay loaded.
+    Loading takes longer than many a run. Libraries stay loaded if they have no variables; others may keep state of an
+    earlier run, so each run loads its own copies.
     """
 
     def __init__(self, path: Path, overrides: tuple[str, ...]) -> None:
         file = ScenarioFile(path, overrides, option="")
         self.scenario, self.system = file.scenario, build_system(file)
         blocks = [s.component for s in self.system.stages if isinstance(s.component, FmuBlock)]
-        # FMUs of FMI 1.0, and FMUs that allow one instance per process, cannot be instantiated again.
+        self._starts = {block.name: block.start_values for block in blocks}
+        # In FMI 1.0, and where a process may have one instance, it cannot be made again.
         single = any(getattr(b.instance.about, "canBeInstantiatedOnlyOncePerProcess", False) for b in blocks)
-        self.keeps = not single and not self.system.apart and all(b.instance.version > 1 for b in blocks)
-        self._uses = 0
-        self._is_checked = False
+        is_constant = all(b.instance.version > 1 and not code_of(b.path).has_variables for b in blocks)
+        self._keeps = is_constant and not single and not self.system.apart
         self._kept: dict[str, FmuBlock] = {}
         weakref.finalize(self, _unload, self._kept).atexit = False
 
@@ -182,61 +174,42 @@ class SweptSystem:
             StoppedRun: A component failed.
             CosimError: An FMU does not load.
         """
-        self._uses += 1
-        begin, has_kept = time.perf_counter(), bool(self._kept)
-        try:
-            results = self._simulate(request, limits)
-        except (StoppedRun, CosimError) as error:
-            _unload(self._kept)
-            if not has_kept or _is_stop(error):
-                raise
-            self.keeps = False
-            return self.simulate(request, limits)
-        if self._uses == UNKEPT and limits.total is not None:  # the limit applies to a run, including its repetition
-            self.keeps &= 4.0 * (time.perf_counter() - begin) < limits.total
-        if not has_kept or self._is_checked:
-            return results
-        self._is_checked, self.keeps = True, False
-        again = self._simulate(request, limits, own_copies=True)
-        self.keeps = again.values.tobytes() == results.values.tobytes() and again.exact == results.exact
-        if not self.keeps:
-            _unload(self._kept)
-        return again
-
-    def _simulate(self, request: RunRequest, limits: Limits, *, own_copies: bool = False) -> Results:
-        system, scenario = self.system, self.scenario
-        stages = []
-        for stage in system.stages:
-            component = stage.component
-            if isinstance(component, FmuBlock):
-                starts = {**component.start_values, **request.starts.get(component.name, {})}
-                if component.name in self._kept and not own_copies:
-                    component = self._kept[component.name]
-                    component.start_values = starts
-                    component.log.restore(NO_MESSAGES)
-                else:
-                    # Instances in Python share only code; other libraries may keep state of an earlier run.
-                    place = _unpack_once(component.path) if component.nominal_step else None
-                    component = component.with_start_values(starts, place)
-                    if self.keeps and self._uses > UNKEPT and not own_copies:
-                        component.instance.keeps_library = True
-                        self._kept[component.name] = component
-            stages.append(replace(stage, component=component))
-        system = replace(system, stages=tuple(stages), seed=system.seed if request.seed is None else request.seed)
+        scenario = self.scenario
+        starts = {name: {**values, **request.starts.get(name, {})} for name, values in self._starts.items()}
+        if not self._kept:
+            self._make_fmus(starts)
+        for name, block in self._kept.items():
+            block.start_values = starts[name]
+            block.log.restore(NO_MESSAGES)
+        system = self._system if request.seed is None else replace(self._system, seed=request.seed)
         rows = Rows.in_memory(scenario.steps + 1, len(system.columns))
         progress = getattr(here, "progress", None)
         if progress is not None:
             progress.made[0] = 0  # resets the count of the previous run
             rows = replace(rows, made=progress.made, doing=progress.doing)
-            system = in_own_processes(system, limits)
+            system = system if self._kept else in_own_processes(system, limits)
             for stage in system.stages:
                 here.share_log(stage.component)
-        return simulate(system, scenario.steps, scenario.step, rows=rows)
+        try:
+            return simulate(system, scenario.steps, scenario.step, rows=rows)
+        except (StoppedRun, CosimError):
+            _unload(self._kept)
+            raise
 
-
-def _is_stop(error: StoppedRun | CosimError) -> bool:
-    """Return True if a run was stopped from the keyboard."""
-    return (error.error if isinstance(error, StoppedRun) else error).exit_code == 130
+    def _make_fmus(self, starts: Mapping[str, Mapping[str, Any]]) -> None:
+        """Set the system with new FMUs."""
+        stages = []
+        for stage in self.system.stages:
+            component = stage.component
+            if isinstance(component, FmuBlock):
+                # Instances in Python share code only; other libraries may keep state of an earlier run.
+                place = unpack_once(component.path) if component.nominal_step else None
+                component = component.with_start_values(starts[component.name], place)
+                if self._keeps:
+                    component.instance.keeps_library = True
+                    self._kept[component.name] = component
+            stages.append(replace(stage, component=component))
+        self._system = replace(self.system, stages=tuple(stages))
 
 
 def _unload(kept: dict[str, FmuBlock]) -> None:
@@ -251,13 +224,6 @@ def _unload(kept: dict[str, FmuBlock]) -> None:
 def assemble(path: Path, overrides: tuple[str, ...]) -> SweptSystem:
     """Return the system of a scenario; raise InputError for faults."""
     return SweptSystem(path, overrides)
-
-
-@cache
-def _unpack_once(path: Path) -> Path:
-    folder = Path(tempfile.mkdtemp(prefix="fmu-", dir=process_folder()))
-    unpack(path, folder)
-    return folder
 
 
 def _failed(job: Job, request: RunRequest, reason: CosimError | str) -> RunResult:

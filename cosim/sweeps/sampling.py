@@ -48,8 +48,8 @@ class Factor:
 
 def distribution(way: str, numbers: Sequence[float], within: Sequence[float] | None = None) -> Callable[[Array], Array]:
     """Return the inverse of a distribution function; raise ValueError for invalid numbers."""
-    from scipy.stats import norm, triang, truncnorm  # imported here, because this import is slower than all others
-
+    if way in {"normal", "triangular"}:
+        from scipy.stats import norm, triang, truncnorm  # This import is slower than all others.
     if way == "normal" and not numbers[1] > 0:
         raise ValueError(f"a standard deviation of {numbers[1]:g} is not allowed; give one above 0")
     if way == "normal" and not within:
@@ -113,17 +113,22 @@ def _shares(count: int, rows: int, sampling: Sampling, seed: int) -> Array:
     if sampling == "random":
         return rng.random((rows, count))
     points: Array
-    if sampling == "saltelli":
+    if sampling == "latin-hypercube":  # the points of scipy.stats, whose import is slower than all others
+        rng, strata = rng.spawn(1)[0], np.tile(np.arange(1, rows + 1), (count, 1))
+        within = rng.random((rows, count))
+        for stratum in strata:
+            rng.shuffle(stratum)
+        points = (strata.T - within) / rows
+    elif sampling == "saltelli":
         sobol = optional("SALib.sample.sobol", "a sweep sampled by saltelli")
         problem = {"num_vars": count, "names": [str(k) for k in range(count)], "bounds": [[0.0, 1.0]] * count}
         points = sobol.sample(problem, saltelli_base(rows, count), calc_second_order=False, seed=seed)
     else:
         from scipy.stats import qmc
 
-        kind: Any = qmc.LatinHypercube if sampling == "latin-hypercube" else qmc.Sobol
-        with warnings.catch_warnings():  # the user may choose a number of points that is not a power of 2
+        with warnings.catch_warnings():  # The user may choose a number of points that is no power of 2.
             warnings.simplefilter("ignore", UserWarning)
-            points = kind(count, seed=rng).random(rows)
+            points = qmc.Sobol(count, seed=rng).random(rows)
     return np.clip(points, 1e-12, 1.0 - 1e-12)
 
 

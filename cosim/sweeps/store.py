@@ -125,14 +125,15 @@ def write_table(
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    table: dict[str, list[Any]] = {}  # columns have a single type: mixed integers and floats become floats
+    types_of = {bool: pa.bool_(), int: pa.int64(), float: pa.float64(), str: pa.string()}
+    table: dict[str, list[Any]] = {}  # columns of a single type: integers mixed with floats become floats
     for name, values in design.items():
         kinds = {type(v) for v in values}
-        if len(kinds) == 1 and list not in kinds:
+        if len(kinds) == 1 and kinds <= types_of.keys():
             table[name] = list(values)
         else:  # lists and mixtures become text
             table[name] = [float(v) if kinds == {int, float} else json.dumps(v) for v in values]
-    types: dict[str, Any] = {"run": pa.int64(), **{name: pa.array(values).type for name, values in table.items()}}
+    types: dict[str, Any] = {"run": pa.int64(), **{name: types_of[type(of[0])] for name, of in table.items()}}
     types["status"] = pa.string()
     for name in criteria:
         types |= {name: pa.float64(), f"{name} met": pa.bool_()}
@@ -142,19 +143,40 @@ def write_table(
     remaining = iter(runs)
     with draft_of(path) as draft, pq.ParquetWriter(draft, schema, compression="zstd") as writer:
         while part := list(itertools.islice(remaining, RUNS_PER_WRITE)):
-            done = [m for m in part if m.status == "ok"]
             columns: dict[str, Any] = {name: [values[m.run] for m in part] for name, values in table.items()}
             columns |= {"run": [m.run for m in part], "status": [m.status for m in part]}
             for k, name in enumerate(criteria):
                 judged = (m.values[k] if m.status == "ok" else np.nan for m in part)
                 columns[name] = [None if np.isnan(value) else value for value in judged]
                 columns[f"{name} met"] = [m.met[k] if m.status == "ok" else None for m in part]
-            ends = np.cumsum([0, *(m.signals.shape[1] if m.status == "ok" else 0 for m in part)], dtype=np.int32)
-            missing = pa.array([m.status != "ok" for m in part])
             for k, name in enumerate(signals):
-                samples = np.concatenate([m.signals[k] for m in done]) if done else np.empty(0)
-                columns[name] = pa.ListArray.from_arrays(ends, samples, mask=missing)
-            writer.write_table(pa.Table.from_pydict({name: columns[name] for name in schema.names}, schema=schema))
+                columns[name] = [m.signals[k] if m.status == "ok" else None for m in part]
+            arrays = [_column(kind, columns[name]) for name, kind in types.items()]
+            writer.write_table(pa.Table.from_arrays(arrays, schema=schema))
+
+
+def _column(kind: Any, values: Sequence[Any]) -> Any:
+    """Return a column of a type, in which None is a missing value.
+
+    `pyarrow.array` would import pandas where it is installed, which takes longer than many a sweep.
+    """
+    import pyarrow as pa
+
+    def packed(flags: Any) -> Any:
+        return pa.py_buffer(np.packbits(flags, bitorder="little"))
+
+    count, is_there, children = len(values), np.array([value is not None for value in values]), list[Any]()
+    if kind in (pa.string(), pa.list_(pa.float64())):
+        contents = [b"" if v is None else v.encode() if isinstance(v, str) else v.tobytes() for v in values]
+        size, joined = 1 if kind == pa.string() else 8, pa.py_buffer(b"".join(contents))
+        ends = np.cumsum([0, *(len(content) // size for content in contents)], dtype=np.int32)
+        buffers = [pa.py_buffer(ends), joined]
+        if size == 8:
+            children.append(pa.Array.from_buffers(pa.float64(), int(ends[-1]), [None, buffers.pop()]))
+    else:
+        data = np.array([0 if v is None else v for v in values], kind.to_pandas_dtype())
+        buffers = [packed(data) if kind == pa.bool_() else pa.py_buffer(data)]
+    return pa.Array.from_buffers(kind, count, [packed(is_there), *buffers], children=children)
 
 
 def read_table(path: Path) -> tuple[pyarrow.Table, dict[str, Any]]:

@@ -137,8 +137,8 @@ def sweep(
             address = study.file.dask if dask is None else dask
             make_runs: MakeRuns = partial(make_runs_here, study.job, workers)
             if in_process or join:
-                assemble.cache_clear()  # files may have changed since an earlier call
-                make_runs = partial(map, partial(make_run, study.job))
+                assemble.cache_clear()  # Files may have changed since an earlier call.
+                make_runs = partial(map, lambda request: (make_run(study.job, request),))
             elif address is not None:
                 place = partial(study.yaml.fault, ("dask",)) if dask is None else partial(Fault, Path("--dask"), 0, 0)
                 make_runs = stack.enter_context(dask_cluster(study, address, place))
@@ -160,15 +160,16 @@ def sweep(
             begin = time.perf_counter()
             try:
                 requests = (study.request_run(run) for run in missing)
-                for result in make_runs(requests):
-                    if result is None:
+                for results in make_runs(requests):
+                    if not results:
                         databases[0].store()
                         continue
                     with delay_stops():
-                        databases[0].add(result)
-                    made += 1
+                        for result in results:
+                            databases[0].add(result)
+                    made += len(results)
                     for observer in observers:
-                        observer.add([result])
+                        observer.add(results)
                     if progress is not None:
                         progress(len(runs) - len(missing) + made, len(runs))
                 databases[0].store()

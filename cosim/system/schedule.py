@@ -11,7 +11,7 @@ from cosim.blocks.coupling import DEFAULT, WITHOUT_ORDER, AlgebraicLoop, Assumpt
 from cosim.blocks.event_mode import EventFmu
 from cosim.blocks.fixes import Fixes
 from cosim.blocks.fmu import FmuBlock
-from cosim.blocks.shared_code import may_share_data
+from cosim.blocks.shared_code import code_of
 from cosim.blocks.sources import SourceBlock
 from cosim.core.messages import CheckNote, Note
 from cosim.core.text import did_you_mean, join_names
@@ -314,22 +314,20 @@ def batches(stages: Sequence[Stage]) -> Iterator[list[Stage]]:
 
     In a group, no stage needs an output of another stage in the same step, and FMUs in one process share no data.
     """
-    batch: list[Stage] = []
+    batch, names, data, has_fmu, is_exclusive = list[Stage](), set[str](), set[str](), False, False
     for stage in stages:
-        origins = {t.origin.partition(".")[0] for t in stage.pulls}
-        if any(other.component.name in origins or _may_share_data(other, stage) for other in batch):
+        component, own, steps_alone = stage.component, frozenset[str](), False
+        fmu = component if isinstance(component, FmuBlock) and not component.is_apart else None
+        if fmu is not None:
+            own, about = code_of(fmu.path).common, fmu.instance.about
+            steps_alone = about.canBeInstantiatedOnlyOncePerProcess or about.needsExecutionTool
+        waits = not (names.isdisjoint(t.origin.partition(".")[0] for t in stage.pulls) and data.isdisjoint(own))
+        if waits or (fmu is not None and (is_exclusive or (steps_alone and has_fmu))):
             yield batch
-            batch = []
+            batch, names, data, has_fmu, is_exclusive = [], set(), set(), False, False
         batch.append(stage)
+        names.add(component.name)
+        data |= own
+        has_fmu, is_exclusive = has_fmu or fmu is not None, is_exclusive or steps_alone
     if batch:
         yield batch
-
-
-def _may_share_data(*stages: Stage) -> bool:
-    """Return True if two FMUs in one process may share global data or a simulation tool."""
-    one, other = (stage.component for stage in stages)
-    if not (isinstance(one, FmuBlock) and isinstance(other, FmuBlock)) or one.is_apart or other.is_apart:
-        return False
-    is_single = any(f.instance.about.canBeInstantiatedOnlyOncePerProcess for f in (one, other))
-    has_tool = any(f.instance.about.needsExecutionTool for f in (one, other))
-    return is_single or has_tool or may_share_data(one.path, other.path)

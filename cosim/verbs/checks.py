@@ -80,14 +80,17 @@ def check(
     from cosim.files.artefact import FMU
     from cosim.files.kinds import kind_by_form
     from cosim.isolation.process import Worker
-    from cosim.logs.log import read_column_names
     from cosim.master.remote import RUN_MODULES
 
     faults: list[Fault] = []
     lines: list[str] = []
     paths = [*map(Path, [files] if isinstance(files, (str, os.PathLike)) else files)]
     first = paths[0] if paths else Path("columns")
-    names = read_column_names(column_names(columns), first)
+    names: dict[str, str] = {}
+    if texts := column_names(columns):
+        from cosim.logs.log import read_column_names
+
+        names = read_column_names(texts, first)
     with compiling(compile):
         if permission.get() and not load:
             text = "needs to load FMUs, but --no-load (in Python load=False) forbids it; remove one of them"
@@ -109,7 +112,7 @@ def check(
 
 def _check_isolated(path: Path, checking: Checking) -> list[str]:
     """Check a file; execute named Python in the worker, or not at all without a worker."""
-    from cosim.fmi.building.file import without_execution
+    from cosim.files.artefact import without_execution
 
     worker = checking.worker
     with without_execution() as skipped:

@@ -5,9 +5,7 @@ from __future__ import annotations
 import linecache
 import os.path
 import sys
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
-from contextvars import ContextVar
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import ModuleType
@@ -19,7 +17,7 @@ from cosim.core.errors import Fault, InputError, NotExecuted, refuse
 from cosim.core.registry import BASE, MODELS_GROUP, is_model, model_entry, resolve
 from cosim.core.registry import names as registered_names
 from cosim.core.text import did_you_mean
-from cosim.files.artefact import CODE, MODEL, kind_by_keys
+from cosim.files.artefact import CODE, MODEL, kind_by_keys, skipped_files
 from cosim.files.files import write_text
 from cosim.files.kinds import check_form, refuse_other
 from cosim.files.yaml_file import UNIT_OF_KEY, Amount, Number, Part, Positive, YamlFile
@@ -247,23 +245,6 @@ def own_terms(path: Path) -> list[type[Term]]:
         reason = "has no term; write a subclass of cosim.terms.Force, InputTerm or RateTerm with a `kind`"
         raise InputError.at(path, reason)
     return own
-
-
-skipped_files: ContextVar[list[Path] | None] = ContextVar("files of Python that are not executed", default=None)
-
-
-@contextmanager
-def without_execution() -> Iterator[list[Path]]:
-    """Prevent the execution of model files in the `with` block; yield a list of the skipped files.
-
-    Loading a model from a Python file raises NotExecuted.
-    """
-    skipped: list[Path] = []
-    token = skipped_files.set(skipped)
-    try:
-        yield skipped
-    finally:
-        skipped_files.reset(token)
 
 
 def _execute(path: Path) -> tuple[ModelText, ModuleType]:
