@@ -62,7 +62,7 @@ def test_an_input_that_a_filter_of_the_recorder_delays_is_named(tmp_path: Path, 
         assert not lag
         return
     assert lag
-    rows = next(n for n in (1, 2) if f"voltage taken {n} row" in late.warning)  # the lag is 2.5 rows
+    rows = next(n for n in (1, 2) if f"voltage by {n} row" in late.warning)  # the lag is 2.5 rows
     assert f"move its column {0.02 * rows:.4g}" in late.warning
     assert late.gain > between_rows(problem, base).gain
 

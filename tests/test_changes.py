@@ -81,7 +81,7 @@ def test_a_change_shows_in_the_rows_and_the_manifest_repeats_the_run(tmp_path: P
     assert {*speed[second:]} == {5.0}
     assert ran.results.exact["a.s_in"][second - 1 : second + 1] == ["", "x"]
     assert [event["at"] for event in ran.manifest["scenario"]["events"]] == [0.005, *(c["at"] for c in changes)]
-    assert any("2 changes made while it ran" in warning for warning in ran.warnings)
+    assert any("2 changes made during the run" in warning for warning in ran.warnings)
     again = repeated(tmp_path)
     assert again["scenario"]["events"] == ran.manifest["scenario"]["events"]
     assert "changes" not in again

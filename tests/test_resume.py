@@ -324,5 +324,5 @@ def test_a_file_with_another_content_or_that_is_nowhere_is_refused_by_name(moved
     assert "new/log.csv" in told(*again, code=2)
     (moved / "log.csv").write_text(log)
     (moved / "typed.fmu").unlink()
-    assert "put it there, or typed.fmu beside manifest.json" in told(*again, code=2)
+    assert "typed.fmu; put it there, or into the folder of manifest.json" in told(*again, code=2)
     assert not (tmp_path / "again").exists()
