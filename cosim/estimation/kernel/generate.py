@@ -339,7 +339,7 @@ def _influence(body: Body, first: Sequence[int], expressions: Sequence[Any]) -> 
 #
 #     to · (by.1 + by·z) · (Σ c_k·bump(ζ − k) + c·rise(ζ) + a·sin ζ + b·cos ζ)      ζ = of·z
 #
-# bump falls from 1 to 0 within ±2; rise increases from 0 to 1 between −1 and 1. If all parameters are 0, the shape is 0.
+# bump falls from 1 to 0 within ±2; rise increases from 0 to 1 between −1 and 1. With all parameters 0, the shape is 0.
 #
 
 READING = "reading of "  # prefix of a measured output, which replaces a state, if its reading has a local shape
