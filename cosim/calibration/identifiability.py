@@ -1,4 +1,4 @@
-"""What logs determine: screening, combinations of parameters without effect, covariance and intervals."""
+"""What logs determine: screened parameters, combinations without effect, covariance and intervals."""
 
 from __future__ import annotations
 
@@ -19,23 +19,22 @@ from cosim.logs.log import NORMAL_95
 from cosim.residuals.residual_statistics import finite
 
 CHANGES = (0.01, 0.1)  # relative steps of a screened parameter
-NO_EFFECT = 1e-9  # change of every output, relative to its standard deviation, below which it is rounding
-RESOLUTION = 5e-3  # minimum noise level for a choice, relative to the standard deviation: models are not perfect
-WIDEST = 0.5  # largest half-width of the expected interval of a parameter to estimate, relative to its value
-APART = 0.03  # share of a sensitivity not reproduced by other parameters; differences are accurate to a third
+NO_EFFECT = 1e-9  # change of every output, relative to its standard deviation, below which it is due to rounding
+RESOLUTION = 5e-3  # least noise level for screening, relative to the standard deviation, since models are not perfect
+WIDEST = 0.5  # largest expected half-width of the interval of a selected parameter, relative to its value
+APART = 0.03  # least share of a sensitivity that other parameters do not reproduce; differences are accurate to a third
 SUSPECT = 0.02  # singular value relative to the largest, below which a combination is tried
 MOVE = 0.1  # relative step of a combination that is tried
-INVISIBLE = 0.01  # change of the outputs relative to that by one parameter alone
-TAKES_PART = 0.2  # component of a direction relative to the largest
+INVISIBLE = 0.01  # change of the outputs, relative to that by one parameter alone, that counts as no effect
+TAKES_PART = 0.2  # component of a direction, relative to the largest, from which a parameter belongs to a combination
 SIGNS = {"ratio": " / ", "product": " · ", "sum": " + ", "difference": " − "}
 
 
 def screen(likelihood: Likelihood) -> tuple[list[ChoiceEntry], Flags]:
-    """Return the choice among the parameters with reasons, and an array that is True for each selected unknown.
+    """Return selected and rejected parameters with reasons, and an array that is True for each selected unknown.
 
     Each parameter is changed by 1 % and by 10 % of its scale. Parameters with an effect are ranked by pivoted QR of
-    their
-    sensitivities: the next one is least reproducible by those already chosen.
+    their sensitivities: the next parameter is the one that selected parameters reproduce least.
     """
     logs, good = likelihood.logs, [np.isfinite(t) for t in likelihood.best.tables]
     sigma = np.maximum(logs.noise, RESOLUTION * logs.spread)  # the sensor noise, or the resolution of models
@@ -106,7 +105,7 @@ def _changes(likelihood: Likelihood, move: Array) -> list[Array] | None:
 
 
 def _without(columns: Array, nuisance: Array) -> Array:
-    """Return columns after removal of their projection on nuisance columns."""
+    """Return columns minus their projection on nuisance columns."""
     if not nuisance.shape[1] or not columns.shape[1]:
         return columns
     basis = orthonormal(nuisance / np.maximum(np.linalg.norm(nuisance, axis=0), 1e-300))
@@ -153,7 +152,7 @@ def find_combination(likelihood: Likelihood) -> tuple[CombinationEntry | None, A
         parts = np.flatnonzero(np.abs(direction) > TAKES_PART)
         places, direction = parameters[parts], direction[parts]
         if len(parts) == 1 or (likelihood.precision[places] > 0.0).any():
-            continue  # too weak alone, as its interval shows, or determined by the prior
+            continue  # this parameter alone is too weak, as its interval shows, or the prior determines it
         # relative to the smallest component, and rounded if close to integers
         relative = [each / np.min(np.abs(each)) for each in (direction, direction * scales[places])]
         pairs = [(each, np.rint(each)) for each in relative]
@@ -187,7 +186,7 @@ FEW = 8  # values for each lag
 MANY = 50.0  # independent residuals per unknown, above which Student's factor is accurate
 DRAWS, SEED = 99, 1  # repetitions of the bootstrap for few residuals
 SETTLING = 20  # initial transient of repeated residuals, as a multiple of the largest order
-DOUBLINGS = 6  # of the distance from the estimate at which the end of a profile is searched
+DOUBLINGS = 6  # doublings of the distance from the estimate in the search for the end of a profile
 NEAR_END = 0.005  # tolerance of the end of a profile's interval, in half-widths
 
 
@@ -198,8 +197,8 @@ class Covariance:
     Attributes:
         matrix: Covariance of all unknowns.
         halves: Half-width of the 95 % interval of each unknown.
-        white: Standard deviation of each unknown under the assumption of white residuals.
-        colour: Channel → variance of a mean of its residuals relative to white residuals.
+        white: Standard deviation of each unknown, assuming white residuals.
+        colour: Channel → variance of the mean of its residuals, relative to white residuals.
     """
 
     matrix: Array
@@ -228,7 +227,7 @@ def covariance(likelihood: Likelihood) -> Covariance:
     inverse = scaled_inverse(information)
 
     def sandwich(tables: Sequence[Array]) -> tuple[Array, Array, Sequence[Autoregression]]:
-        """Return the covariance of the estimates, a root of that of the innovations, and the autoregressions."""
+        """Return the covariance of the estimates, a square root of that of the innovations, and autoregressions."""
         models = [_autoregression([t[np.isfinite(t[:, c]), c] for t in tables]) for c in range(sigma.size)]
         innovations, filtered = [], []
         for table, slope in zip(tables, slopes, strict=True):
@@ -283,10 +282,10 @@ def covariance(likelihood: Likelihood) -> Covariance:
 
 
 def profile(likelihood: Likelihood, spread: Covariance, j: int) -> ProfileEntry | None:
-    """Return the profile of an unknown, None if it has no interval.
+    """Return the profile likelihood of an unknown; None if there is no interval.
 
-    The deviance is scaled to 1.96² at the ends of the interval from the covariance if the model is linear in the
-    parameter: residuals that are not white widen both intervals equally (composite likelihood).
+    The deviance is scaled so that, for a model linear in the parameter, it is 1.96² at the ends of the interval from
+    the covariance. Residuals that are not white thus widen both intervals equally (composite likelihood).
     """
     from scipy.optimize import brentq
 
@@ -298,7 +297,7 @@ def profile(likelihood: Likelihood, spread: Covariance, j: int) -> ProfileEntry 
     deviances, unknowns = {centre: 0.0}, {centre: best.x[others]}
 
     def excess(value: float) -> float:
-        """Return the root of the scaled deviance at a value minus 1.96; infinite if the FMU fails."""
+        """Return the square root of the scaled deviance at a value, minus 1.96; infinite if the FMU fails."""
         if value not in deviances:
             inner = likelihood.restricted(others, at=value)
             if inner.point(unknowns[min(unknowns, key=lambda known: abs(known - value))]) is None:
@@ -311,7 +310,7 @@ def profile(likelihood: Likelihood, spread: Covariance, j: int) -> ProfileEntry 
         return math.sqrt(deviances[value]) - NORMAL_95
 
     def end(side: float) -> float | None:
-        """Return the end of the interval below or above the estimate; None if the deviance stays small before it."""
+        """Return the end of the interval below or above the estimate; None if the deviance stays small."""
         inside = centre
         for step in 0.6 * half * 2.0 ** np.arange(DOUBLINGS):
             outside = min(max(centre + side * float(step), float(likelihood.low[j])), float(likelihood.high[j]))

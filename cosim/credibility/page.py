@@ -21,7 +21,7 @@ DIGITS = 6  # of estimates and intervals
 
 
 def write_page(fmu: Path) -> Path:
-    """Write the page of an FMU's record into the current folder and return its path; raise InputError without one."""
+    """Write the page of an FMU's record into the current folder; return its path. InputError if there is no record."""
     record, problem = read_credibility(fmu)
     if record is None:
         cure = "`cosim refine` and `cosim fit` write one into the FMU that they deliver"

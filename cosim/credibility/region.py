@@ -1,8 +1,8 @@
-"""The region that logs cover: points in scaled coordinates, and the usual distance of a new point to the nearest one.
+"""The region that logs cover: points in scaled coordinates, and a threshold for the distance to the nearest point.
 
 Coordinates are inputs, outputs, and rates of outputs. The distance of a point is the largest difference of a coordinate
-from the nearest point of the logs, so that one coordinate names the reason. The threshold is the distance that the rows
-of a part of the logs, left out with its neighbours, keep to the rest with 95 % probability.
+from the nearest point of the logs, so that a single coordinate is the reason. If a part of the logs is left out with
+its neighbours, 95 % of its rows are within the threshold of the rest.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ from cosim.core.arrays import Array, Flags, NamedArrays, Rows
 from cosim.credibility.bands import Finite, conformal_quantile
 
 LEVEL = 0.95  # share of the rows of a left-out part within the threshold
-BLOCKS = 40  # parts of all logs
+BLOCKS = 40  # parts into which all logs together are divided
 FEWEST_ROWS = 4  # of a part
-MOST_POINTS, MOST_ROWS = 1000, 20_000  # of the region, and of the logs that it is made from
+MOST_POINTS, MOST_ROWS = 1000, 20_000  # points of the region, and rows of the logs from which it is computed
 CONSTANT = 1e-6  # of a signal's size: a smaller range is rounding, and a larger change leaves a constant signal
-REPEATS = 0.99  # correlation from which a coordinate repeats another one
-DECIMALS = 3  # of a stored point
+REPEATS = 0.99  # correlation above which a coordinate repeats another one
+DECIMALS = 3  # decimals of a stored point
 
 
 class Coordinate(BaseModel):
@@ -44,23 +44,23 @@ class Coordinate(BaseModel):
 
     @property
     def name(self) -> str:
-        """Return the name: `level`, `rate of level`."""
+        """Return the name, such as `level` or `rate of level`."""
         return f"rate of {self.signal}" if self.kind == "rate" else self.signal
 
     @property
     def is_constant(self) -> bool:
-        """Return whether the logs never move the coordinate."""
+        """Return True if the coordinate is constant in the logs."""
         return self.high - self.low <= CONSTANT * max(1.0, abs(self.low), abs(self.high))
 
 
 class Region(BaseModel):
     """Region of inputs, outputs and rates that logs cover.
 
-    step: time over which a rate is taken, the step of the logs [s]
-    left_out: signal or rate that is no coordinate → reason
-    threshold: distance from which a point is outside, in scales
-    points: points of the logs, for each coordinate the distance from `low` in scales
-    reason: why there is no region, empty otherwise
+    step: time over which a rate is computed, the step of the logs [s]
+    left_out: signal or rate that is not a coordinate → reason
+    threshold: distance, in scales, above which a point is outside
+    points: points of the logs; each coordinate is the distance from `low` in scales
+    reason: reason why there is no region; empty if there is one
     """
 
     step: Finite = 0.0
@@ -79,7 +79,7 @@ class Region(BaseModel):
 
     @property
     def constant(self) -> list[str]:
-        """Return the coordinates that the logs never move."""
+        """Return the names of the coordinates that are constant in the logs."""
         return [c.name for c in self.coordinates if c.is_constant]
 
 
@@ -89,7 +89,7 @@ class Stretch(NamedTuple):
     Attributes:
         time: Increasing times [s].
         signals: Name → (rows,), NaN without a value.
-        restarts: Rows at which the model starts anew.
+        restarts: Rows at which the model is restarted.
     """
 
     time: Array
@@ -104,7 +104,7 @@ class Distances:
     Attributes:
         ratio: Distance relative to the threshold, shape (rows,); above 1 outside; NaN if a coordinate is missing.
         farthest: Coordinate with the largest difference, shape (rows,).
-        missing: Coordinates without a signal, which are not judged.
+        missing: Coordinates whose signals are missing, which are ignored.
     """
 
     time: Array
@@ -114,7 +114,7 @@ class Distances:
 
     @property
     def inside(self) -> Flags:
-        """Return the rows in the region."""
+        """Return True for the rows in the region."""
         return ~(self.ratio > 1.0)
 
 
@@ -128,7 +128,7 @@ def region_of(
     """Return the region of logs.
 
     Args:
-        stretches: Inputs of the logs with the outputs that the model has there.
+        stretches: Inputs of the logs, with outputs of the model.
         inputs: Names of the inputs; other signals are outputs.
         step: Time between rows [s].
         free: Outputs on whose level nothing depends, such as a position; only their rates are coordinates.
@@ -184,7 +184,7 @@ def region_of(
 def _table(stretch: Stretch, coordinates: Sequence[tuple[str, Any]], step: float) -> Array:
     """Return the values of coordinates, shape (rows, coordinates).
 
-    A rate looks ahead over one step, as the command of a row acts until the next one.
+    A rate is computed over the step after a row, because the command of a row acts until the next row.
     """
     time, columns, missing = stretch.time, [], np.full(stretch.time.size, np.nan)
     is_last = time + step > time[-1] + 1e-6 * step
@@ -201,7 +201,7 @@ def _table(stretch: Stretch, coordinates: Sequence[tuple[str, Any]], step: float
 
 
 def _spread_out(points: Array, most: int) -> Rows:
-    """Return the rows of points that cover all of them best: each next one is the farthest from those before."""
+    """Return the indices of points that cover all points well; each one is the farthest from all previous ones."""
     chosen = [0]
     apart = np.abs(points - points[0]).max(axis=1)
     while len(chosen) < min(most, len(points)) and apart.max() > 0.0:
@@ -211,7 +211,7 @@ def _spread_out(points: Array, most: int) -> Rows:
 
 
 def _left_out_distances(points: Array, block: Rows, chosen: Rows) -> list[Array]:
-    """Return the distances of the points of each block to chosen points outside the block and its neighbours."""
+    """Return the distance of each block's points to the nearest chosen point outside the block and its neighbours."""
     from scipy.spatial import cKDTree
 
     found = []
@@ -223,7 +223,7 @@ def _left_out_distances(points: Array, block: Rows, chosen: Rows) -> list[Array]
 
 
 def distances(region: Region, stretch: Stretch) -> Distances:
-    """Return the distance of signals from a region, at rows about one step of the logs apart, or MOST_ROWS of them."""
+    """Return the distance of signals from a region, at rows about a step apart (at most MOST_ROWS rows)."""
     from scipy.spatial import cKDTree
 
     size = stretch.time.size
