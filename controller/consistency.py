@@ -41,11 +41,11 @@ from plant.hovercraft import Hovercraft
 
 TEMPLATE = Path(__file__).with_name("templates") / "consistency.html.j2"
 LEVEL = 0.95
-SIDE = 0.5 * (1.0 - LEVEL)  # expected share of times on either side of their region
+SIDE = 0.5 * (1.0 - LEVEL)  # expected share of times above, and of times below, their 95 % region
 HALF = 0.25 * (1.0 - LEVEL)  # tail probability on each side of each of the two tests
 CONSISTENT, OPTIMISTIC, PESSIMISTIC = "consistent", "optimistic", "pessimistic"
 BOTH = f"{OPTIMISTIC} and {PESSIMISTIC}"
-ROWS = 256  # rows of the correlation matrix processed at once
+ROWS = 256  # rows of the correlation matrix that are processed at a time
 MIN_RUNS = 2
 MIN_STEPS = 100  # errors count after the first second
 MAX_SAMPLES = 20_000_000  # samples of all runs of a case: about 400 bytes each, 8 GB in total
@@ -61,7 +61,7 @@ class Consistency(NamedTuple):
         at_time: 95 % range of each of `at_times` for a consistent estimator.
         above, below: Shares of `at_times` above and below `at_time`; 2.5 % is expected.
         most: Upper limit of `above` and `below` for a consistent estimator.
-        times: Number of independent times with the same scatter of the shares.
+        times: Number of independent times for which the shares would have the same scatter.
     """
 
     degrees: int
@@ -102,7 +102,7 @@ def consistency_of(squares: Array, degrees: int, *, white: bool = False) -> Cons
     Args:
         squares: Normalised squares, shape (runs, times).
         degrees: Degrees of freedom of each square.
-        white: True for squares without correlation within a run, such as innovations.
+        white: True for squares that are not correlated within a run, such as those of innovations.
 
     Raises:
         ValueError: A square is not finite.
@@ -131,7 +131,7 @@ def consistency_of(squares: Array, degrees: int, *, white: bool = False) -> Cons
 
 
 def independent_times(squares: Array) -> float:
-    """Return the number K of independent times for which the share of times outside the limits has the same scatter.
+    """Return the number K of independent times for which the share of times above the limit has the same scatter.
 
     p·(1 − p)/K is the mean covariance of the events z_j > c and z_k > c. Here z_j is the nearly normal mean over the
     runs at time j, with correlations from the runs; c is the 97.5 % quantile, exceeded with p = 2.5 %.
@@ -207,7 +207,7 @@ def common_verdict(rows: Sequence[ConsistencyRow]) -> str:
 
 
 def headline(rows: Sequence[ConsistencyRow]) -> str:
-    """Return a headline: the number of consistent cases, then the case with the largest errors if it is not one."""
+    """Return a headline: number of consistent cases, and the case with the largest errors unless it is consistent."""
     cases = by_case(rows)
     right = sum(common_verdict(case) == CONSISTENT for case in cases)
     largest = max(cases, key=lambda case: case[0].result.factor)
@@ -335,7 +335,7 @@ CASES = (*ON_SINES, *(case._replace(flight=MANOEUVRE) for case in ON_SINES))
 
 
 def linear_truth(runs: int, u: Matrix, rng: np.random.Generator) -> Truth:
-    """Return runs of the linear model `consistent` with its noise, without noise of the sensors.
+    """Return runs of the linear model `consistent` with process noise; readings and positions have no sensor noise.
 
     x⁺ = F·x + G·u + w, z = H·x + v, from x = 0; w by V, v by W.
     """
@@ -371,7 +371,7 @@ def plant_truth(runs: int, u: Matrix, rng: np.random.Generator, *, disturbed: bo
 
 
 def squares_of(case: FlightCase, runs: int, steps: int, rng: np.random.Generator) -> Squares:
-    """Return normalised errors and innovations, each (runs, times), after the first second."""
+    """Return normalised squares of errors and innovations after the first second, each of shape (runs, times)."""
     u, craft = case.flight.commands(steps), Hovercraft()
     if case.truth == "linear":
         assumed: Settings | ExtendedSettings = Settings()
