@@ -1,1 +1,1 @@
-"""Flight controller: Kalman filter and LQR, designed offline and run in the loop."""
+"""Flight controller of the hovercraft: Kalman filter and LQR, designed offline and executed in the loop."""

@@ -1,8 +1,8 @@
 """Rig for experiments on the craft in closed loop with its controller.
 
-Without control, a tilt error of 1° spins the hovercraft up within seconds. A tilt dither is therefore applied to the
-references, divided by the gain from reference to tilt, so that the controller commands the dither in the same sample.
-Duties are not controlled, so their signals are applied directly.
+Without control, a tilt error of 1° spins the hovercraft up within seconds. Tilt signals (dither) are therefore added to
+the references, divided by the gain from reference to tilt, so that the controller commands the dither in the same
+sample. Duties are not controlled; their signals are applied directly.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ DUTY_DIFFERENCE = 0.3  # share of the duty limit for the difference; the rest is
 
 
 def manoeuvre(t: float) -> tuple[float, float]:
-    """Return the references x [m] and ψ [rad] of App. G at a time, as in scenarios/manoeuvre.yaml.
+    """Return the references x [m] and ψ [rad] of App. G at time t [s], as in scenarios/manoeuvre.yaml.
 
     x has two steps, ψ two steps and a ramp of 45 °/s.
     """
@@ -51,7 +51,7 @@ def manoeuvre(t: float) -> tuple[float, float]:
 
 
 class ClosedLoop(OpenLoop):
-    """Hovercraft under its own controller: references, common and differential tilt dither, duties."""
+    """The hovercraft with its controller; an experiment varies references, common and differential tilt, and duties."""
 
     usual = "the manoeuvre"
     files: tuple[str, ...] = ("references.csv", "controller.fmu")
@@ -60,7 +60,7 @@ class ClosedLoop(OpenLoop):
 
     def __init__(self, model: Model, limits: Mapping[str, float], ranges: Ranges, duration: float) -> None:
         self.ranges = ranges
-        tilts = []  # limit of each propeller, common to both directions
+        tilts = []  # tilt limit of each propeller, equal in both directions
         for name in self.commanded:
             low, high = ranges.get(name, (-math.inf, math.inf))
             if not low < 0.0 < high:
@@ -106,17 +106,17 @@ class ClosedLoop(OpenLoop):
         return {a.name: np.zeros(len(time)) for a in self.axes} | {"x_ref": x, "psi_ref": psi}
 
     def write(self, folder: Path, trial: Trial) -> None:
-        """Write the references with dither, and the controller."""
+        """Write the files of the references (with dither) and of the controller."""
         write_columns(folder / "references.csv", trial.time, trial.references, {"x_ref": "m", "psi_ref": "rad"})
         build(controller_recipe(), folder / "controller.fmu")
 
     def components(self) -> Iterator[str]:
-        """Yield the lines of references and controller."""
+        """Yield the scenario lines of references and controller."""
         yield "  references: {block: playback, file: references.csv} # including the tilt dither"
         yield f"  controller: {{fmu: controller.fmu, start: {{tilt_max: {self.settings.tilt_max:.9g}}}}}"
 
     def connections(self, model: Model, trial: Trial, variance: Mapping[str, float]) -> Iterator[str]:
-        """Yield the connections of controller and duties."""
+        """Yield the scenario lines of the connections of controller and duties."""
         for name in self.sensors:
             yield f"  - {{from: plant.{name}, to: controller.{name}, noise: {{variance: {variance[name]:g}}}}}"
         yield from (f"  - {{from: references.{name}, to: controller.{name}}}" for name in trial.references)

@@ -61,7 +61,7 @@ class Consistency(NamedTuple):
         at_time: 95 % range of each of `at_times` for a consistent estimator.
         above, below: Shares of `at_times` above and below `at_time`; 2.5 % is expected.
         most: Upper limit of `above` and `below` for a consistent estimator.
-        times: Number of independent times with the same scatter of the shares.
+        times: Number of independent times for which the shares would have the same scatter.
     """
 
     degrees: int
@@ -102,7 +102,7 @@ def consistency_of(squares: Array, degrees: int, *, white: bool = False) -> Cons
     Args:
         squares: Normalised squares, shape (runs, times).
         degrees: Degrees of freedom of each square.
-        white: True for squares without correlation within a run, such as innovations.
+        white: True for squares that are not correlated within a run, such as those of innovations.
 
     Raises:
         ValueError: A square is not finite.
@@ -131,7 +131,7 @@ def consistency_of(squares: Array, degrees: int, *, white: bool = False) -> Cons
 
 
 def independent_times(squares: Array) -> float:
-    """Return the number K of independent times for which the share of times outside the limits has the same scatter.
+    """Return the number K of independent times for which the share of times above the limit has the same scatter.
 
     p·(1 − p)/K is the mean covariance of the events z_j > c and z_k > c. Here z_j is the nearly normal mean over the
     runs at time j, with correlations from the runs; c is the 97.5 % quantile, exceeded with p = 2.5 %.
@@ -209,7 +209,7 @@ def common_verdict(rows: Sequence[ConsistencyRow]) -> str:
 
 
 def headline(rows: Sequence[ConsistencyRow]) -> str:
-    """Return a headline: the number of consistent cases, then the case with the largest errors if it is not one."""
+    """Return a headline: number of consistent cases, and the case with the largest errors unless it is consistent."""
     cases = by_case(rows)
     right = sum(common_verdict(case) == CONSISTENT for case in cases)
     largest = max(cases, key=lambda case: case[0].result.factor)
@@ -338,7 +338,7 @@ CASES = (*ON_SINES, *(case._replace(flight=MANOEUVRE) for case in ON_SINES))
 
 
 def linear_truth(runs: int, u: Matrix, rng: np.random.Generator) -> Truth:
-    """Return runs of the linear model `consistent` with its noise, without noise of the sensors.
+    """Return runs of the linear model `consistent` with process noise; readings and positions have no sensor noise.
 
     x⁺ = F·x + G·u + w, z = H·x + v, from x = 0; w by V, v by W.
     """
@@ -374,7 +374,7 @@ def plant_truth(runs: int, u: Matrix, rng: np.random.Generator, *, disturbed: bo
 
 
 def squares_of(case: FlightCase, runs: int, steps: int, rng: np.random.Generator) -> Squares:
-    """Return normalised errors and innovations, each (runs, times), after the first second."""
+    """Return normalised squares of errors and innovations after the first second, each of shape (runs, times)."""
     u, craft = case.flight.commands(steps), Hovercraft()
     if case.truth == "linear":
         assumed: Settings | ExtendedSettings = Settings()

@@ -63,7 +63,7 @@ def _zeros(p: FilterSettings, *shape: int) -> Matrix:
 def discrete_model(p: FilterSettings) -> tuple[Matrix, Matrix]:
     """Return F (5, 5) and G (5, 2) of x̂ₖ₊₁ = F·x̂ₖ + G·uₖ.
 
-    `appendix_f`: F = I + Δt·A, with a memoryless acceleration: last row of F zero, of G T_N/m.
+    `appendix_f`: F = I + Δt·A, with an acceleration without memory: the last row of F is 0, that of G is T_N/m.
     `lagged`, `consistent`: eqs E.3/E.4 with their lag and held inputs, exact over Δt.
     """
     A, B = design_model(p)

@@ -50,7 +50,7 @@ SETTINGS: Mapping[str, type[Settings]] = {
     PREDICTIVE: PredictiveSettings,
     TIME_VARIANT: TimeVariantSettings,
 }
-# option, its place in a list → start value; a predictive law has no fifth state
+# option and index in its list → start value; a predictive law has no fifth state
 OPTION_START_VALUES: dict[Place, str] = {("thrust_nominal",): "thrust_nominal", ("lag",): "lag"}
 OF_PREDICTION: dict[Place, str] = {
     ("horizon",): "horizon",
@@ -63,11 +63,11 @@ OF_PREDICTION: dict[Place, str] = {
 }
 WEIGHTS = {"Q": [*Q_THESIS], "R": [*R_THESIS], "Q_integral": [*Q_INTEGRAL]}
 POLES_OF = {"forward": (0, 1, 2), "turning": (3, 4)}  # indices of the five poles
-Objections = list[tuple[Place, str]]  # reasons against a design, or warnings, at the place of an option
+Objections = list[tuple[Place, str]]  # reasons against a design, or warnings, each with the option concerned
 
 
 def _complex(value: Any) -> Any:
-    """Return a number, or a complex number as text; raise ValueError for other values."""
+    """Return a real number, or the complex number in a text; raise ValueError for other values."""
     try:
         number = complex(value.replace(" ", "").replace("i", "j") if isinstance(value, str) else value)
     except (TypeError, ValueError):
@@ -81,7 +81,7 @@ Complex = Annotated[Any, AfterValidator(_complex)]
 
 
 class DesignFile(Part):
-    """Weights and numbers of a design; each law takes its own keys.
+    """Weights and numbers of a controller design; each control law uses its own keys.
 
     controllers: FMUs that get designed start values
     Q: weights of the five states, diagonal, eq 6.4
@@ -94,8 +94,8 @@ class DesignFile(Part):
     speed_max: largest speed forward or backward [m/s]
     horizon: prediction horizon [s]
     estimator: Kalman filter of the controller
-    thrust_nominal: thrust per propeller in ground effect T_N [N], in place of the model's
-    lag: lag of the design model [s], in place of the model's
+    thrust_nominal: thrust per propeller in ground effect T_N [N]; by default that of the model
+    lag: lag of the design model [s]; by default that of the model
     """
 
     controllers: list[Controller] = Field(["controller.fmu"], min_length=1)
@@ -114,16 +114,16 @@ class DesignFile(Part):
 
 
 def design(yaml: YamlFile, model: Model) -> tuple[dict[str, dict[str, Any]], list[str]]:
-    """Design the controllers of a craft.
+    """Return the designed start values of the controllers of a craft.
 
     For the registered craft, the numbers are those of the controllers' default parameters; for another craft they are
     computed.
 
     Returns:
-        Start values by file of an FMU, and warnings.
+        FMU file name → variable → start value, and warnings.
 
     Raises:
-        InputError: Every fault of the file, and weights or poles without a stable control loop.
+        InputError: The file has faults, or weights or poles do not give a stable loop; the error names all faults.
     """
     file = yaml.validate(DesignFile)
     craft = model if isinstance(model, Hovercraft) and model != Hovercraft() else None
@@ -140,7 +140,7 @@ def design(yaml: YamlFile, model: Model) -> tuple[dict[str, dict[str, Any]], lis
 
 
 def check_design(path: Path, checking: Checking) -> list[str]:
-    """Return the warnings of a design for the craft as registered; InputError lists its faults."""
+    """Return the warnings of a design for the registered craft; raise InputError with all faults."""
     return [f"warning: {warning}" for warning in design(YamlFile(path), Hovercraft())[1]]
 
 
@@ -150,10 +150,10 @@ def controller_starts(
     """Return start values of a controller, objections and warnings.
 
     Args:
-        craft: Source of the numbers of the design model; None takes those of the controller's own parameters.
+        craft: Craft for which the design model is computed; None for the default parameters of the controller.
     """
     kind, options, predicts = SETTINGS[name], file.model_dump(), name in (PREDICTIVE, TIME_VARIANT)
-    places = dict[str, Place]()  # start value → option that is used unchanged
+    places = dict[str, Place]()  # start value → option that sets it unchanged
     declared, values = {p.name: p.default for p in parameters_of(kind)}, dict[str, Any]()
     if craft is not None:
         values = {n: getattr(craft, n) for n in OF_CRAFT} if name == TIME_VARIANT else {}
@@ -190,7 +190,7 @@ def controller_starts(
 def _judged(
     values: Mapping[str, Any], options: Mapping[str, Any], name: str, K: Matrix
 ) -> tuple[Objections, Objections]:
-    """Return objections to designed gains, and warnings: bounds, then stability and damping of the sampled loop."""
+    """Return objections to designed gains, and warnings, on bounds, stability and damping of the sampled loop."""
     gains = [p for p in parameters_of(IntegralSettings) if p.name.startswith("k_") and p.name in values]
     if large := [p for p in gains if p.fault(values[p.name])]:
         size, limit = max(abs(values[p.name]) for p in large), large[0].bounds[1]

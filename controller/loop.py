@@ -1,4 +1,4 @@
-"""Controller at run time: an estimator with a control law, from estimate and references to commands at each sample."""
+"""Controller at run time: at each sample, an estimator gives an estimate, from which a control law gives commands."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ class LawInput(NamedTuple):
         x_meas, y_meas: Position of the latest fix [m].
         fix: Number of the latest fix, 0 before the first; a new number makes its position valid.
         psi: Measured heading [rad].
-        started: False at the start, before the first measurement.
+        started: False before the first measurement.
     """
 
     x_ref: float
@@ -41,7 +41,7 @@ class Law(Stateful):
         self.duties = (p.duty_nominal, p.duty_nominal)
 
     def estimator(self, p: Any, x_hat: Numbers, fix: float) -> Estimator:
-        """Return the law's estimator, started at x_hat (x, ẋ, ψ, ψ̇, a)."""
+        """Return the estimator of the law, with the initial estimate x_hat = (x, ẋ, ψ, ψ̇, a)."""
         return LinearFilter(p, x_hat, fix)
 
     def command(self, x_hat: Numbers, seen: LawInput) -> Floats:
@@ -53,7 +53,7 @@ class Law(Stateful):
         return []
 
     def words(self) -> str:
-        """Return remarks on the run; "" if there are none."""
+        """Return a sentence with remarks on the run; "" if there are none."""
         return ""
 
 
@@ -64,7 +64,7 @@ def feedback(gain: Sequence[Numbers], error: Numbers, limit: float) -> Floats:
 
 
 def control_error(x_hat: Numbers, seen: LawInput) -> list[float]:
-    """Return the deviation of x̂ from the reference of the five states at rest."""
+    """Return the deviation of the five estimated states from rest at the references."""
     return [a - b for a, b in zip(x_hat, (seen.x_ref, 0.0, seen.psi_ref, 0.0, 0.0), strict=True)]
 
 
@@ -82,8 +82,8 @@ class IntegralFeedback(Law):
 
         ξ₁ += Δt·(x_meas − x_ref) once there is a fix, Δt·(x̂ − x_ref) before;   ξ₂ += Δt·(ψ_meas − ψ_ref)
 
-    The integrals stop while a tilt is saturated (anti-windup). Without fixes, no measurement contains a force that the
-    accelerometer does not sense (a tilted table): x̂ settles at x_ref, but x does not.
+    The integrals stop while a tilt is saturated (anti-windup). Without fixes, no measurement shows a force that the
+    accelerometer does not sense (of a tilted table): x̂ settles at x_ref, but x does not.
     """
 
     memory = ("integrals",)
@@ -120,8 +120,8 @@ class Loop(Stateful):
 
          z = x_meas,   H = (1, −T, 0, 0, 0), T its age
 
-    State (x, vx, ψ, ψ̇, a), a the thrust acceleration. The start has no update and P = 0. Without fixes, x is not
-    observable, so the filter needs its start value.
+    State (x, vx, ψ, ψ̇, a), a the thrust acceleration. At the start, P = 0 and there is no update. Without fixes, x is
+    not observable, so the filter needs its start value.
     """
 
     def __init__(self, settings: Settings, x_hat: Numbers, *seen: float, law: Law | None = None) -> None:
@@ -138,7 +138,7 @@ class Loop(Stateful):
 
         Args:
             measured: (ψ, ψ̇, a_x).
-            seen: First fields of `LawInput`, x_ref and psi_ref at least.
+            seen: First fields of `LawInput`, at least x_ref and psi_ref.
         """
         now = LawInput(*seen)._replace(psi=measured[0], started=True)  # type: ignore[arg-type]
         self.estimator.step(measured, (*self.law.duties, *self.command), now.fix, (now.x_meas, now.y_meas))

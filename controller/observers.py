@@ -26,7 +26,7 @@ from plant.hovercraft import Hovercraft
 
 ESTIMATED_STATES = ("x", "vx", "psi", "psi_dot")
 PLANT_SIZE, AT = len(PLANT_STATES), PLANT_STATES.index
-# x_world and y_world repeat x and y without weight, so predictive control predicts twelve of fourteen states.
+# x_world and y_world repeat x and y without weight, so that predictive control predicts twelve of the fourteen states.
 PREDICTED = [k for k, name in enumerate(PLANT_STATES) if not name.endswith("_world")]
 PREDICTED_STATES = [PLANT_STATES[k] for k in PREDICTED]
 FILTERED = [PREDICTED_STATES.index(name) for name in ESTIMATED_STATES]  # states of the filter of the thesis
@@ -34,10 +34,10 @@ OBSERVED = [k for k in range(len(PREDICTED_STATES)) if k not in FILTERED]
 
 
 class Stateful:
-    """An object whose complete state is in named attributes, including those of its parts: numbers, lists and arrays.
+    """An object whose complete state consists of named attributes: numbers, lists and arrays.
 
     Attributes:
-        memory: Names of these attributes, such as `filter.x`.
+        memory: Names of these attributes, including attributes of parts, such as `filter.x`.
     """
 
     memory: tuple[str, ...] = ()
@@ -59,7 +59,7 @@ class Stateful:
 class Estimator(Stateful):
     """A state estimator, by default a filter of filterpy.
 
-    A subclass fills in `advance`, `locate` if it uses fixes, `estimate` and `variances`.
+    A subclass defines `advance`, `estimate`, `variances` and, if it uses position fixes, `locate`.
 
     Attributes:
         fix: Number of the latest position fix.
@@ -153,9 +153,9 @@ class LinearFilter(Estimator):
 
 
 class HoverFilter(LinearFilter):
-    """Filter of the thesis, beside one of y, vy, roll, thrusts and tilts as deviations from hover.
+    """Filter of the thesis, and a second filter for the deviations of y, vy, roll, thrusts and tilts from hover.
 
-    The latter starts at rest with P = 0; commands drive it, fixes of y correct it.
+    The second filter starts at rest with P = 0; commands are its inputs, and fixes of y its measurements.
     """
 
     memory = (*LinearFilter.memory, "observer.x", "observer.P")
@@ -264,7 +264,7 @@ class Slopes:
 
 
 def carried(psi: float) -> Matrix:
-    """Return G (14, 14), which transfers noise from craft to world axes."""
+    """Return G (14, 14), by which noise along the craft's axes also moves the world position."""
     G, s, c = np.eye(PLANT_SIZE), math.sin(psi), math.cos(psi)
     G[np.ix_([AT("x_world"), AT("y_world")], [AT("x"), AT("y")])] = (c, s), (s, -c)
     return G
@@ -278,7 +278,8 @@ class ExtendedFilter(Estimator):
     G = I, except for the world position, moved by the noise of x and y with (cos ψ, sin ψ), (sin ψ, −cos ψ).
 
     Each sample predicts with the held command, updates with (ψ, ψ̇, a_x), and updates with a position fix if a new one
-    has arrived. The start is known exactly: P = 0. Positions are along the craft's own axes, fixes along `axes`.
+    has arrived. The initial state is known exactly: P = 0. Positions are along the craft's own axes, fixes along
+    `axes`.
 
     Args:
         jacobians: Loaded module of `cosim.model.symbolic.linearize.printed_jacobians` for this model and (a_x).
@@ -328,7 +329,7 @@ class ExtendedFilter(Estimator):
         self.fix_nis = self.update(position, lambda _: H, located, self.fix_noise)
 
     def slope(self, name: str) -> Matrix:
-        """Return ∂f/∂x or ∂h/∂x at the estimate."""
+        """Return the Jacobian ∂f/∂x or ∂h/∂x at the estimate."""
         return np.asarray(self.slopes.along(name, self.filter.x[None], np.array([self.command]))[0])
 
     @property

@@ -1,6 +1,6 @@
-"""Model predictive control with limits, linearized along the planned motion, or at hover as its constant case.
+"""Model predictive control with limits, linearized along the planned motion or, with constant matrices, at hover.
 
-A horizon is condensed to a quadratic program of the commands, solved by a dual active set.
+Each horizon is condensed to a quadratic program in the commands, which a dual active-set method solves.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ SERIES_LIMIT = 0.25  # multipliers below this value are zero
 class Condensed(NamedTuple):
     """Cost ½·U'·H·U + f'·U of the commands U of all blocks, and the states free + forced·U at each step.
 
-    For an open initial deviation z, f and free have one column per component.
+    If the initial deviation z is left open, f and free have one column per component of z.
     """
 
     H: Matrix
@@ -46,7 +46,7 @@ class Condensed(NamedTuple):
 
 
 class PredictiveLaw(Law):
-    """Optimal command of each sample within limits, started from the previous solution.
+    """Optimal commands within limits at each sample; the solver starts from the previous solution.
 
     The commands u minimise
 
@@ -67,14 +67,14 @@ class PredictiveLaw(Law):
 
     Args:
         printed: Jacobians of the craft, which the extended filter uses too.
-        y_hat: Start of the estimated drift to the right [m].
+        y_hat: Initial estimate of the position to the right [m].
 
     Attributes:
         filter: Estimator of the predicted states.
         last: Deviation of the last command from rest.
         hot: Multipliers; their signs mark the active limits for the next sample.
-        given_up: Failures of the solver.
-        cost: Cost of a horizon that starts with an open deviation, without Jacobians.
+        given_up: Number of failures of the solver.
+        cost: Cost of a horizon whose initial deviation is left open, used without Jacobians.
     """
 
     memory: tuple[str, ...] = ("last", "hot", "iterations", "solved", "samples", "given_up", "path", "plan")
@@ -129,11 +129,11 @@ class PredictiveLaw(Law):
         return right, left
 
     def condensed(self, F: Matrix, G: Matrix, e: Matrix | float, start: Matrix) -> Condensed:
-        """Return the cost of the scaled commands alone, for the prediction z_{j+1} = F_j·z_j + G_j·u_j + e_j.
+        """Return the cost as a function of scaled commands only, for z_{j+1} = F_j·z_j + G_j·u_j + e_j.
 
         Args:
             F, G, e: (N, n, n), (N, n, m) and (N, n, 1) of each step.
-            start: z_0 as a column, or the unit matrix for an open start.
+            start: z_0 as a column, or the unit matrix if z_0 is left open.
         """
         of_step, k, m = self.of_step, start.shape[1], COMMANDS
         columns = k + m * of_step[:, None] + np.arange(m)  # columns of each step's commands
@@ -173,7 +173,7 @@ class PredictiveLaw(Law):
         return np.array(U)
 
     def words(self) -> str:
-        """Return a remark on solver failures."""
+        """Return a sentence on failures of the solver; "" if there were none."""
         if not self.given_up:
             return ""
         text = (

@@ -37,7 +37,7 @@ def gain(default: float, tilt: str, state: str, source: str = ", eq 6.5") -> Any
 
 
 def of_craft(name: str, about: str = "") -> Any:
-    """Declare a parameter of the craft for a controller; `about` precedes its meaning."""
+    """Declare a parameter of the craft for a controller; `about` precedes its description."""
     p = CRAFT_PARAMETERS[name]
     return bounded(p.default, p.unit, p.bounds, about + p.doc)
 
@@ -48,7 +48,7 @@ def variance(default: float, unit: str, doc: str) -> Any:
 
 
 def variances_of(p: Any, kind: str, names: Sequence[str]) -> Floats:
-    """Return variances by the names of their states or readings, 0 for one without noise."""
+    """Return the variances of named states or readings; 0 for those without noise."""
     return tuple(getattr(p, f"{kind}_variance_{name}", 0.0) for name in names)
 
 
@@ -84,7 +84,7 @@ class Noise(Parametric):
 
 @frozen
 class FilterSettings(Noise):
-    """Parameters of a filter on the design model, or of double integration."""
+    """Parameters of a filter that uses the design model, or of double integration."""
 
     choices = {"estimator": (*ESTIMATORS, DOUBLE_INTEGRATION)}  # noqa: RUF012 - a ClassVar of the base
 
@@ -181,7 +181,7 @@ INTEGRAL_SETTINGS = IntegralSettings(**mirrored(INTEGRAL_GAINS))
 
 @frozen
 class FullSettings(Settings):
-    """Parameters with roll and motors, for the fourteen states linearized at hover."""
+    """Parameters including roll and motors, for the linear model of fourteen states at hover."""
 
     ixx: float = bounded(0.009377, "kg.m2", (2e-3, 1), "design model: roll inertia, eq 5.4")
     ground_gain: float = bounded(1.1420239, "1", (1, 10), "design model: gain of the ground effect at hover, eq 4.28")
@@ -214,7 +214,7 @@ class PredictionSettings(Settings):
     )
 
     def invalid_values(self) -> list[str]:
-        """Return a sentence on each invalid value, which names it; without a solution, on each cause."""
+        """Return a sentence on each invalid value or, if the LQR has no solution, on each cause."""
         faults, nominal = super().invalid_values(), self.duty_nominal
         for name, wrong in (("duty_min", self.duty_min >= nominal), ("duty_max", self.duty_max <= nominal)):
             if wrong:
@@ -273,7 +273,7 @@ def equation_noise(default: float, unit: str, of: str) -> Any:
 
 @frozen
 class TimeVariantSettings(PredictionSettings, ExtendedSettings):
-    """Parameters of the craft's equations besides the design model, and noise of the extended filter.
+    """Parameters of the craft's equations in addition to those of the design model, and noise of the extended filter.
 
     The thrust line passes through `thrust_nominal` at `duty_nominal`. Unused: `k_i_j`, `process_variance_a`.
     """
@@ -300,7 +300,7 @@ class TimeVariantSettings(PredictionSettings, ExtendedSettings):
     estimator: str = "extended"
 
     def invalid_values(self) -> list[str]:
-        """Return a sentence on each invalid value; with valid ones, on a craft that is not possible."""
+        """Return a sentence on each invalid value or, if there are none, on why the craft is impossible."""
         if faults := super().invalid_values():
             return faults
         try:
@@ -315,7 +315,7 @@ OF_CRAFT = tuple(p.name for p in parameters_of(TimeVariantSettings) if p.name in
 
 
 def craft_of(p: Any) -> Hovercraft:
-    """Return the craft with these parameters; its thrust line, eq 4.20, is so that Γ·T_OGE(δ_N) = T_N.
+    """Return the craft with these parameters, whose thrust line (eq 4.20) satisfies Γ·T_OGE(δ_N) = T_N.
 
     Raises:
         ValueError: The parameters are invalid for a craft.

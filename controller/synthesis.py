@@ -42,7 +42,7 @@ def numbers_of(craft: Hovercraft) -> dict[str, float]:
         friction, yaw_damping: opposing force or moment divided by the working speed or yaw rate
         k/Ixx = −∂φ̈/∂φ, d_φ/Ixx = −∂φ̈/∂φ̇, L·Γ/Ixx = ∂φ̈/∂T, dT/dδ = τ·∂Ṫ/∂δ, averaged over both sides
 
-    Asymmetry, offsets, backlash, dead band, rate limit and inflow have no place in five symmetric states.
+    Asymmetry, offsets, backlash, dead band, rate limit and inflow cannot be represented by five symmetric states.
     """
     linear = linearize(craft)
     names, inputs = linear.states, linear.inputs
@@ -129,7 +129,7 @@ def placed_gain(p: Settings, poles: Sequence[complex] = POLES) -> Matrix:
 
 
 def pole_faults(poles: Sequence[complex]) -> Iterator[tuple[int, str]]:
-    """Yield index and fault of each invalid pole."""
+    """Yield the index of each invalid pole, and a sentence on its fault."""
     for axis, first, of in (("forward", 0, poles[:3]), ("turning", 3, poles[3:])):
         for k, a in enumerate(of):
             pole = format_pole(a)
@@ -159,7 +159,7 @@ TILT_INPUTS = [PLANT_INPUTS.index(name) for name in ("tilt_right", "tilt_left")]
 PSI, PSI_DOT, RIGHT, LEFT = 1, 2, 3, 4  # indices among these states
 TURNING = {PSI, PSI_DOT, 5 + 2, 5 + 3, 10 + 1}  # indices among all states of the loop, without tilts
 MAX_GROWTH = 1e-3  # [rad/s] poles further right grow; uncontrolled poles are at 0 within rounding
-MIN_DAMPING = 0.1  # a swing keeps exp(-2π·0.1), more than half of its size, from one to the next
+MIN_DAMPING = 0.1  # damping ratio; an oscillation keeps exp(-2π·0.1), more than half of its amplitude, in each period
 MAX_CHANGE, MAX_UPDATES = 1e-9, 3000  # convergence of the filter gain
 
 

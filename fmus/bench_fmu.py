@@ -1,4 +1,4 @@
-"""Testing bench as an FMI slave, with Python's standard library and pythonfmu's own module only."""
+"""The testing bench as an FMI slave, which needs only Python's standard library and pythonfmu's module."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Commands that the worked example adds to cosim: `identify` and `consistency`."""
+"""Commands `identify` and `consistency`, which the worked example adds to cosim."""
 
 from __future__ import annotations
 

@@ -1,6 +1,7 @@
 """Controllers and estimators as FMI slaves: a communication step is one sample.
 
-Estimators have common inputs and outputs and can be exchanged by one line of a scenario; so can controllers.
+All estimators have the same inputs and outputs, so that one line of a scenario exchanges them; likewise all
+controllers.
 """
 
 from __future__ import annotations
@@ -129,10 +130,10 @@ INITIAL_DEPENDENCIES: Dependencies = {
 
 
 class SampledSlave(Slave):
-    """Sampled slave: a communication step is one sample; other steps than `sample_time` are rejected.
+    """A slave with sample times: a communication step is one sample; steps other than `sample_time` are rejected.
 
     Attributes:
-        who: Noun for messages.
+        who: Noun for the slave in messages.
         settings: Default values.
         depends: Dependencies of outputs at a sample, and in initialization mode.
         running: The running loop or filter, with its complete state.
@@ -144,7 +145,7 @@ class SampledSlave(Slave):
     running: Any
 
     def start(self, settings: Any, x_hat: list[float], given: dict[str, Value]) -> Any:
-        """Return the running object (loop or filter), started at x̂ with P = 0, without an update."""
+        """Return the running object (loop or filter), which starts at x̂ with P = 0 and without an update."""
         raise NotImplementedError
 
     def process(self) -> None:
@@ -152,7 +153,7 @@ class SampledSlave(Slave):
         raise NotImplementedError
 
     def initialize(self, given: dict[str, Value]) -> None:
-        """Start at `*_hat_start`, with the settings of the variables named as their fields."""
+        """Start at `*_hat_start`, with settings from the variables that have the names of their fields."""
         names = {field.name for field in fields(self.settings)}
         values = zip((port.name for port in self.ports), self.values, strict=True)
         kind: Any = type(self.settings)
@@ -181,7 +182,7 @@ class SampledSlave(Slave):
 
 
 class HovercraftController(SampledSlave):
-    """Sampled controller: a communication step is one sample; other steps than `sample_time` are rejected.
+    """A controller with sample times: a communication step is one sample; steps other than `sample_time` are rejected.
 
     The hosting Python needs numpy, scipy and filterpy. The filter starts at `*_hat_start`.
 
@@ -197,7 +198,7 @@ class HovercraftController(SampledSlave):
     depends = DEPENDENCIES, INITIAL_DEPENDENCIES
 
     def law(self, settings: Any, given: dict[str, Value]) -> Law:
-        """Return the control law for parameters and start values of the host."""
+        """Return the control law for the parameters and start values that the host has set."""
         return self.feedback(settings)
 
     def start(self, settings: Any, x_hat: list[float], given: dict[str, Value]) -> Loop:
@@ -209,7 +210,7 @@ class HovercraftController(SampledSlave):
         self.running.step(self.inputs[:3], *self.inputs[3:])
 
     def terminate(self) -> None:
-        """Log the control law's remarks on the run as a warning."""
+        """Log the remarks of the control law on the run as a warning."""
         if self.phase is STEP and (words := self.running.law.words()):
             self.log(words, Fmi2Status.warning)
 
@@ -217,8 +218,8 @@ class HovercraftController(SampledSlave):
 class HovercraftPolesController(HovercraftController):
     """Pole placement: −2, −4, −11 rad/s of the forward axis, −4, −5 rad/s of the turn.
 
-    The common tilt drives the forward axis, the tilt difference the turn, so that the gain of each is unique. At most
-    two poles are equal, one in each axis.
+    The common tilt drives the forward axis, the tilt difference the turn, so that the gain of each axis is unique.
+    Poles of different axes may be equal.
     """
 
     settings = PLACED_SETTINGS

@@ -1,7 +1,7 @@
 """Testing bench: one tilting propeller on three load cells, with converter and low pass (thesis ch. 3).
 
-Equation numbers, sections and appendices refer to J. Jorquera Grau, SDSM&T, 2012. The power-train is the craft's
-(`plant/powertrain.py`); servo dead band and rate, load cells and readings are added here.
+Equation numbers, sections and appendices refer to J. Jorquera Grau, SDSM&T, 2012. The power-train is that of the craft
+(`plant/powertrain.py`); dead band and rate limit of the servo, load cells and readings are added here.
 """
 
 from __future__ import annotations
@@ -154,7 +154,7 @@ class Bench(Model):
             slow = m.maximum(self.filter_time, FASTEST_FILTER)
             filtered = (lag(v, f, slow) for v, f in zip(converted(state, command), state[2:EFFECT_STATE], strict=True))
             rate = servo_rate(m, target, state[1], self.lag, self.servo_dead_band, self.servo_speed)
-            own: Values = ()  # acceleration of the tilt of an actuator of second order
+            own: Values = ()  # acceleration of the tilt, for an actuator of second order
             if overshoot is not None:
                 w, error = overshoot.natural_frequency, servo_error(m, target, state[1], self.servo_dead_band)
                 rate = m.clip(m.where(w > 0.0, state[EFFECT_STATE], rate), -self.servo_speed, self.servo_speed)
@@ -171,5 +171,5 @@ class Bench(Model):
         return Equations(derivative, output)
 
     def start_state(self, m: Namespace = SCALAR) -> dict[str, Number]:
-        """Return start values: the low passes have settled on the voltages of the unloaded cells."""
+        """Return start values with which the low passes are in equilibrium at the voltages of unloaded cells."""
         return {f"filtered_{c}": getattr(self, f"{c}_zero") for c in CHANNELS}

@@ -2,7 +2,7 @@
 
     command → shape → lag ← tilt_rate → thrust_factor → wrench (sensed) → acceleration (not sensed)
 
-An effect overrides some hooks; the craft calls only overridden hooks of active effects.
+An effect overrides some of these hooks. The craft calls only hooks that active effects override.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ Wrench = tuple[Number, Number, Number, Number]
 
 @dataclass_transform(frozen_default=True, kw_only_default=True)
 def frozen(kind: type[Any]) -> type[Any]:
-    """Make a class of parameters a frozen dataclass whose fields are given by name."""
+    """Turn a class of parameters into a frozen dataclass with keyword-only fields."""
     return dataclass(frozen=True, kw_only=True)(kind)
 
 
 def bounded(default: float, unit: str, bounds: tuple[float, float], doc: str) -> Any:
-    """Return a parameter from its default, unit, bounds and meaning."""
+    """Declare a parameter by default, unit, bounds and meaning."""
     return parameter(default, unit=unit, bounds=bounds, doc=doc)
 
 
@@ -40,10 +40,10 @@ class Motion(NamedTuple):
 
 
 class HovercraftEffect(Effect):
-    """An effect of the hovercraft's equations. Pairs are (right, left)."""
+    """An effect of the hovercraft's equations. Pairs contain the values for (right, left)."""
 
     def tilt_rate(self, m: Namespace, rate: Pair, command: Pair, tilt: Pair, states: Values) -> tuple[Pair, Values]:
-        """Return tilt rates [rad/s] in place of `rate`, and derivatives of own states."""
+        """Return tilt rates [rad/s] that replace `rate`, and the derivatives of the effect's states."""
         return rate, ()
 
     def thrust_factor(self, m: Namespace, t: Number, vx: Number) -> Pair:
@@ -51,7 +51,7 @@ class HovercraftEffect(Effect):
         return 1.0, 1.0
 
     def wrench(self, m: Namespace, motion: Motion) -> Wrench:
-        """Return the contact force of the effect (forward, rightward [N]) and its yaw and roll moments [N m].
+        """Return the effect's contact force (forward, rightward [N]) and its yaw and roll moments [N m].
 
         The accelerometer measures these forces.
         """
@@ -110,7 +110,7 @@ TiltOffset = HovercraftEffect.named(
     left=size("rad", (-0.2, 0.2), 0.01, "offset l of the left tilt"),
     shape=lambda e, m, t, h, u, memory: ((u[0], u[1], u[2] + e.right, u[3] + e.left), memory),
 )
-# α − clip(α, ±w) is the equation without a branch
+# α − clip(α, ±w) is the dead band without a branch
 ServoDeadBand = HovercraftEffect.named(
     "servo_dead_band",
     equation="α_cmd − w·sign(α_cmd), 0 inside ±w",
@@ -142,7 +142,7 @@ class ActuatorSecondOrder(HovercraftEffect):
         )
 
 
-# after the lag; under load, r may be far below the 7.5 rad/s of the data sheet
+# rate limit after the lag; under load, r may be far below the 7.5 rad/s of the data sheet
 ServoRateLimit = HovercraftEffect.named(
     "servo_rate_limit",
     equation="|α̇_i| ≤ r, after the lag",
@@ -168,7 +168,7 @@ BatterySag = HovercraftEffect.named(  # t is the simulation time
     time=bounded(15.0, "s", (0.5, 600), "time constant θ"),
     thrust_factor=lambda e, m, t, vx: (1.0 - e.drop * (1.0 - m.exp(-t / e.time)),) * 2,
 )
-InflowThrustLoss = HovercraftEffect.named(  # by air flow into the disc
+InflowThrustLoss = HovercraftEffect.named(  # thrust loss by air flow into the propeller disc
     "inflow_thrust_loss",
     equation="both thrusts × (1 − κ·vx)",
     coefficient=size("s/m", (0, 2), 0.2, "loss κ per forward speed"),
@@ -179,7 +179,7 @@ InflowThrustLoss = HovercraftEffect.named(  # by air flow into the disc
 
 STICTION_SPEED = 0.01  # [m/s] speed below which dry friction is smoothed
 STICTION_YAW_RATE = 0.02  # [rad/s] yaw rate below which dry friction is smoothed
-# Keeps 1/s finite at rest; far below the speed at which tanh(s/0.01) leaves its linear range.
+# keeps 1/s finite at rest; far below the speed at which tanh(s/0.01) becomes nonlinear
 REST = 1e-24
 
 
@@ -189,12 +189,12 @@ def speed(m: Namespace, motion: Motion) -> Number:
 
 
 def along(motion: Motion, gain: Number) -> Wrench:
-    """Return the force `gain` times the velocity vector."""
+    """Return a force of `gain` times the velocity vector, without moments."""
     return gain * motion.vx, gain * motion.vy, 0.0, 0.0
 
 
 def dry(m: Namespace, motion: Motion, force: Number) -> Wrench:
-    """Return the dry friction −F·tanh(s/0.01)·(vx, vy)/s."""
+    """Return the force of dry friction, −F·tanh(s/0.01)·(vx, vy)/s."""
     s = speed(m, motion)
     return along(motion, -force * m.tanh(s / STICTION_SPEED) / s)
 

@@ -67,7 +67,7 @@ OUTPUTS = (
     Quantity("tilt_right_actual", "rad", "right propeller tilt", bounds=QUARTER_TURN),
     Quantity("tilt_left_actual", "rad", "left propeller tilt", bounds=QUARTER_TURN),
 )
-# Measured with resting sensors, eq 5.46; positions are those of a 1 mm tracking system.
+# Measured with sensors at rest, eq 5.46; positions are those of a 1 mm tracking system.
 SENSOR_VARIANCE = {"psi": 2.613e-5, "psi_dot": 4.564e-4, "ax": 0.04479} | dict.fromkeys(
     ("x", "y", "x_world", "y_world"), 1e-6
 )
@@ -107,7 +107,7 @@ DRAWN_AGAINST = {
 
 @frozen
 class Hovercraft(Model):
-    """Two tilting propellers on an air table; see `equations` for the model."""
+    """Two tilting propellers on an air table; `equations` contains the model."""
 
     title = "Thrust-vectoring hovercraft"
     base_states, inputs, outputs, catalogue, sensors = STATES, INPUTS, OUTPUTS, CATALOGUE, SENSORS
@@ -141,16 +141,16 @@ class Hovercraft(Model):
     )
 
     def start_state(self, m: Namespace = SCALAR) -> dict[str, Number]:
-        """Return the thrusts at nominal duty, eq 4.20."""
+        """Return the thrusts [N] at nominal duty, eq 4.20, as start values."""
         thrust = thrust_out_of_ground(m, self.duty_nominal, self.thrust_offset, self.thrust_slope, self.gravity)
         return {"thrust_right": thrust, "thrust_left": thrust}
 
     def start_input(self) -> dict[str, Number]:
-        """Return the nominal duties, which hover."""
+        """Return the nominal duties [%], with which the craft hovers, as start values."""
         return {"duty_right": self.duty_nominal, "duty_left": self.duty_nominal}
 
     def equations(self, m: Namespace) -> Equations:
-        """Bind the equations to a namespace.
+        """Return the equations, computed by the functions of a namespace.
 
         Power-train (eqs 4.20, 4.28, 4.29), right/left i ∈ {R, L}:
             τ·Ṫ_i = T_OGE(δ_i) − T_i
@@ -187,7 +187,7 @@ class Hovercraft(Model):
             return right, left
 
         def contact(t: Number, state: Values) -> tuple[Number, Number, Number, Number]:
-            """Return sensed forces [N], and yaw and roll moments [N m]."""
+            """Return the forces that the accelerometer senses [N], and yaw and roll moments [N m]."""
             vx, vy, psi_dot, phi, phi_dot, thrust_right, thrust_left, tilt_right, tilt_left = state[VX:OWN]
             right, left = thrusts(t, vx, phi, thrust_right, thrust_left)
             right_x, right_z = thrust_vector(m, right, tilt_right)

@@ -14,7 +14,7 @@ def thrust_out_of_ground(m: Namespace, duty: Number, offset: Number, slope: Numb
 
 
 def ground_effect(m: Namespace, z: Number, radius: Number, exponent: Number) -> Number:
-    """Return thrust gain Γ at height z [m].
+    """Return the thrust gain Γ of the ground effect at height z [m].
 
     Γ = 1/(1 − (R/4z)^k), with z at least R/2. Eq 4.11 is printed with a plus sign; the code of the thesis and Γ/m =
     1.620 of eq E.2 need the minus.
@@ -48,7 +48,7 @@ def servo_rate(
 ) -> Number:
     """Return the tilt rate of a servo, App. B.2: α̇ = clip((e − clip(e, ±w/2))/τ, ±r), e = α_target − α.
 
-    Motion stops at the edge of the dead band with total width w [rad], short of the target from either side.
+    The servo stops at the edge of the dead band, whose total width is w [rad], and does not reach the target.
     """
     return m.clip(lag(servo_error(m, target, angle, dead_band), 0.0, time_constant), -fastest, fastest)
 

@@ -18,7 +18,8 @@ def centripetal(error: LeverArm, m: Namespace, psi_dot: Number) -> Values:
 def disturbed_heading(error: Any, m: Namespace, t: Number, outputs: Mapping[str, Number]) -> Number:
     """Return the heading with an error by the motors (§5.2), zero at hover: ψ + k·(T_R + T_L − 2·T_N).
 
-    Motor current follows the thrust, a + b·δ after the lag (4.20), so the error is linear in the duty.
+    Motor current is assumed to follow the thrust, a + b·δ after the lag (4.20), so that the error is linear in the
+    duty.
     """
     beyond_hover = outputs["thrust_right"] + outputs["thrust_left"] - 2.0 * HOVER_THRUST
     return outputs["psi"] + error.value * beyond_hover
@@ -54,7 +55,7 @@ MagnetometerDisturbance = SensorError.named(
 )
 CameraLatency = Latency.named("camera_latency", equation="readings X(t − T), Y(t − T)", outputs=("x_world", "y_world"))
 
-# Order of action: a lever arm before a scale, a scale before a bias.
+# order in which they act: lever arm before scale, scale before bias
 SENSORS = (
     AccelerometerLeverArm,
     AccelerometerScale,

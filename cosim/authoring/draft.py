@@ -92,7 +92,7 @@ def _identifier(text: str) -> str:
 
 
 def parts_of(paths: Sequence[Path], start: Mapping[str, Any] | None = None) -> list[DraftPart]:
-    """Return FMUs with unique component names; raise InputError with all faults."""
+    """Return FMUs with unique component names; an InputError names every fault of every FMU."""
     parts: list[DraftPart] = []
     for path, description in zip(paths, read_fmus(paths), strict=True):
         name = unique_name(component_name(path.stem, description.modelName or ""), {p.name for p in parts})
@@ -123,8 +123,8 @@ def times_of(
 ) -> Times:
     """Return start, duration and step of a run.
 
-    A step that is requested or required by an FMU stays, and the end moves to a whole number of steps. Otherwise the
-    end stays, and the step is shortened to fit.
+    A step that the user requests or an FMU requires is kept, and the end moves to a whole number of steps. Otherwise
+    the end is kept, and the step is shortened to divide the run into whole steps.
 
     Args:
         start, stop, step: Times [s] in place of those of the FMUs.
@@ -132,7 +132,7 @@ def times_of(
         most: Largest number of steps without a requested stop.
 
     Raises:
-        InputError: A step exceeds the run.
+        InputError: A step is longer than the run.
     """
     experiments = {p.name: experiment_of(p.description) for p in parts}
     own: dict[str, float] = {}
@@ -240,7 +240,7 @@ def write_draft(path: Path, fmus: Sequence[Path]) -> tuple[Matches, str, list[st
 
 
 def _algorithm(parts: Sequence[DraftPart], matches: Sequence[Match]) -> Algorithm:
-    """Return the default coupling algorithm; for an algebraic loop, the algorithm without stepping order."""
+    """Return the default coupling algorithm, or one that needs no order of steps if there is an algebraic loop."""
     blocks = {part.name: part.block for part in parts}
     edges = [(m.source[0], m.target[0], m.target[1].name, m.source[1].name) for m in matches]
     try:
@@ -305,7 +305,7 @@ def scenario_text(
 
 
 def _whole(value: float) -> str:
-    """Return a number with enough digits to reproduce it."""
+    """Return a number as text with enough digits to read back the same value."""
     return short if float(short := f"{value:.12g}") == value else repr(float(value))
 
 

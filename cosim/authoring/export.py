@@ -62,7 +62,8 @@ def export_ssp(
         The path, and notes on parts that SSP cannot store.
 
     Raises:
-        InputError: Every fault of the scenario, and every essential part that SSP or its importers do not support.
+        InputError: The scenario has faults, or an essential part that SSP or its importers do not support; the error
+            names all.
     """
     file = ScenarioFile(Path(scenario), [*overrides, "noise=off"])
     check_pinned(file)

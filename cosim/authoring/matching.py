@@ -15,7 +15,7 @@ from cosim.fmi.fmi_types import is_compatible
 
 NAME_WORD = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+")
 IGNORED_WORDS = {"in", "out", "input", "output", "signal", "value"}
-MIN_SCORE = 0.6  # required scores: for similar names, and for less similar names with the same unit
+MIN_SCORE = 0.6  # lowest score of a connection by similar names; half of it after the deduction for a used output
 # score changes: equal units, a unit on one side only, an output already connected
 SAME_UNIT, ONE_UNIT, USED_OUTPUT = 0.3, -0.15, -0.4
 # words of reference signals, never connected to measurements
@@ -78,7 +78,7 @@ def match_ports(
     Args:
         sizes: Number of elements of each array, by name `component.variable`.
     """
-    open_ = {text(i): i for i in inputs}  # inputs without a decision
+    open_ = {text(i): i for i in inputs}  # inputs that are not decided yet
     candidates: dict[str, list[Port]] = {}
     for name, (owner, signal) in open_.items():  # outputs whose type, unit and size agree
         candidates[name] = [
@@ -108,10 +108,10 @@ def match_ports(
             del open_[name]
     scores = {name: [(_score(o[1], i[1]), o) for o in candidates[name]] for name, i in open_.items()}
     while True:
-        likely: dict[str, list[tuple[float, Port]]] = {}  # scores with outputs, best first
+        likely: dict[str, list[tuple[float, Port]]] = {}  # input → scores with their outputs, best first
         for name in open_:
             rated = [(score + USED_OUTPUT * (text(source) in used), score, source) for score, source in scores[name]]
-            rated.sort(key=lambda s: -s[0])  # stable: equal ones keep file order
+            rated.sort(key=lambda s: -s[0])  # outputs of equal score keep the order of the file
             if rated and rated[0][1] >= MIN_SCORE and rated[0][0] >= MIN_SCORE / 2:
                 likely[name] = [(net, source) for net, score, source in rated if score >= MIN_SCORE]
         clear = [name for name, ranked in likely.items() if len(_alike(ranked)) == 1]
@@ -125,7 +125,7 @@ def match_ports(
     for name, ranked in likely.items():
         choices[name] = _alike(ranked)
         del open_[name]
-    only: dict[str, Port] = {}  # the only fitting output left for an input
+    only: dict[str, Port] = {}  # input → the only fitting output that is left
     for name, target in open_.items():
         free = [o for o in candidates[name] if text(o) not in used]
         free = [o for o in free if _is_reference(o[1].name) == _is_reference(target[1].name)]
@@ -145,7 +145,7 @@ def match_ports(
 
 
 def _alike(ranked: Sequence[tuple[float, Port]]) -> list[Port]:
-    """Return the outputs whose scores are too close to the best for a decision."""
+    """Return the outputs whose scores are too close to the best score to choose one."""
     return [source for score, source in ranked if ranked[0][0] - score < MIN_LEAD]
 
 

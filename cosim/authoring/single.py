@@ -85,7 +85,7 @@ def simulate(
         The signals, the manifest and the warnings.
 
     Raises:
-        InputError: Every fault of the input.
+        InputError: The input has faults; the error names all of them.
         FmuError: An FMU cannot be read or loaded.
         SimulationError: The simulation failed; the rows so far are in `out`.
     """

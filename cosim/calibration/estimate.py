@@ -1,4 +1,4 @@
-"""Estimation: screening, parameter combinations, free runs or windows, maximum likelihood, covariance."""
+"""Estimation of parameters: screening, identifiability, free runs or windows, maximum likelihood, covariance."""
 
 from __future__ import annotations
 
@@ -31,18 +31,18 @@ Report = Callable[[str, float], None]
 
 
 class Estimate:
-    """State of an estimate, and its result.
+    """An estimation and its result.
 
     Attributes:
         likelihood: Likelihood with the best values so far; None before the first simulation of all logs.
-        screened: Choice among the parameters, empty if they were named.
-        combinations: Parameters that are identifiable only in combination; `held` is the parameter that keeps its
-            value.
+        screened: Selected and rejected parameters with reasons; empty if the user named the parameters.
+        combinations: Parameters that are identifiable only in combination; `held` is the parameter that is not
+            estimated.
         singular: Singular values of the scaled sensitivities.
-        idle: Named parameters without effect.
-        reason: Reason for windows instead of free runs, "" for free runs.
-        has_windows: True if every log has windows.
-        dropped: Named start values that windows cannot estimate.
+        idle: Parameters named by the user that have no effect.
+        reason: Reason why windows are used instead of free runs; "" for free runs.
+        has_windows: True if every log is suitable for windows.
+        dropped: Start values named by the user that windows cannot estimate.
         settled: True if the last search ended at a maximum.
         profiles: Parameter → its profile; None if it is not estimated or has no interval.
     """
@@ -64,13 +64,13 @@ class Estimate:
         self.profiles = dict[str, ProfileEntry | None]()
 
     def run(self, parameters: Sequence[Parameter], *, screening: bool, profiled: Sequence[str] = ()) -> None:
-        """Estimate the parameters; with `screening`, only those that the logs determine.
+        """Estimate the parameters; with `screening`, only parameters that the logs determine.
 
         Args:
-            profiled: Parameters whose likelihood is profiled.
+            profiled: Parameters for which the profile likelihood is computed.
 
         Raises:
-            InputError: The logs determine no parameter.
+            InputError: The logs do not determine any parameter.
             SimulationError: The FMU fails with the initial values.
         """
         likelihood = self._begin(parameters)
@@ -101,7 +101,7 @@ class Estimate:
             self.profiles[name] = profile(likelihood, self.covariance, places[name]) if name in alone else None
 
     def _begin(self, parameters: Sequence[Parameter]) -> Likelihood:
-        """Return the likelihood of the parameters, evaluated at the initial values. Windows need no start values."""
+        """Return the likelihood of the parameters, evaluated at initial values; for windows, without start values."""
         logs = self.logs
         while True:
             own = [p for p in parameters if p.per_log and not (p.is_start and logs.horizon)]
@@ -124,7 +124,7 @@ class Estimate:
         self.reason, self.logs.horizon = reason, max(horizons(d.log)[-1] for d in self.logs.drives)
 
     def _fit(self, likelihood: Likelihood) -> Likelihood:
-        """Maximize the likelihood, and compute central differences at the maximum."""
+        """Return the likelihood at its maximum, with derivatives by central differences."""
         self.report("measuring sensitivities", 0.0)
         likelihood.slopes = likelihood.measure_slopes()
         sigma, shared = likelihood.best.sigma[:, None], np.array([u.log is None for u in likelihood.unknowns])
@@ -156,7 +156,7 @@ class Estimate:
         return likelihood
 
     def above_noise(self) -> list[str]:
-        """Return the outputs with a residual that is neither white nor at noise level."""
+        """Return the outputs whose residual is neither white nor as small as the noise."""
         assert self.likelihood is not None
         assert self.covariance is not None
         point, names = self.likelihood.best, []
@@ -170,10 +170,11 @@ class Estimate:
         return names
 
     def _start_effects(self, likelihood: Likelihood) -> tuple[float, bool]:
-        """Return the largest growth of a start value's effect from the first to the last quarter of its log.
+        """Return how start values affect the outputs from the first to the last quarter of their logs.
 
         Returns:
-            The growth; True if the effect of some start value does not fade over its log.
+            The largest growth of an effect, as a factor; True if a start value still affects outputs at the end of its
+            log.
         """
         growth, stays = 0.0, False
         for j, unknown in enumerate(likelihood.unknowns):
@@ -185,7 +186,7 @@ class Estimate:
         return growth, stays
 
     def _why_windows(self, likelihood: Likelihood) -> str:
-        """Return the reason why free runs are useless, or ""."""
+        """Return why windows must replace free runs; "" if free runs can be used."""
         growth, stays = self._start_effects(likelihood)
         if growth > UNSTABLE_GROWTH:
             return (
@@ -196,7 +197,7 @@ class Estimate:
         logs, point = self.logs, likelihood.best
 
         def squares(k: int, values: NamedValues) -> Array:
-            """Return the mean square errors over windows of a log; infinite after a failure."""
+            """Return the mean square errors of windows of a log; infinite if the FMU fails."""
             table = logs.errors(k, values, horizons(logs.drives[k].log)[-1])
             if table is None:
                 return np.full(len(logs.channels), np.inf)

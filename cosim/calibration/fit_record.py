@@ -61,7 +61,7 @@ class StartEntry(LogEntry):
 
 
 class ChoiceEntry(BaseModel):
-    """A screened parameter."""
+    """A parameter that screening has selected or rejected."""
 
     name: str
     effect: Finite | None = Field(description="effect of a change by 10 %, in standard deviations of the noise")
@@ -79,7 +79,7 @@ class CombinationEntry(BaseModel):
 
     @property
     def sentence(self) -> str:
-        """Return the combination as a sentence."""
+        """Return a sentence on the combination."""
         if self.form == "combination":
             return f"{join_names(self.names)} are not identifiable one by one from these logs"
         return f"{join_names(self.names)} are only identifiable as their {self.form} {self.expression}"
@@ -98,7 +98,7 @@ class ChannelErrors(BaseModel):
 
 
 class PartErrors(BaseModel):
-    """Errors on a set of logs, from the same replays as `cosim replay`."""
+    """Errors on a set of logs, measured by the same replays as in `cosim replay`."""
 
     horizon: Finite | None = Field(description="decisive horizon [s], null for free runs")
     channels: dict[str, ChannelErrors]

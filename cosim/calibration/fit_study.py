@@ -1,4 +1,4 @@
-"""A fit request, from options or from a study file with the place of each key, and the parameters to estimate."""
+"""The request of a fit, from options or a study file, and the parameters to estimate."""
 
 from __future__ import annotations
 
@@ -41,12 +41,12 @@ class FitStudyFile(BaseModel):
 
     model:   FMU whose parameters are estimated.
     logs:    Files, relative to the study; those of `validation` are sealed until all decisions are made.
-    vary:    Names, or name → bounds `0.3..2 kg`, prior `20%`, or nothing; default: what the logs determine.
-    start:   Name → further value of the FMU, or first value of an estimated parameter.
-    per_log: Parameters with a value for each log, such as a load that changes between logs.
-    profile: Parameters whose likelihood is profiled.
+    vary:    Names; or name → bounds `0.3..2 kg`, prior `20%`, or nothing. Default: parameters that the logs determine.
+    start:   Name → value of another variable of the FMU, or first value of an estimated parameter.
+    per_log: Parameters with a separate value for each log, such as a load that changes between logs.
+    profile: Parameters for which the profile likelihood is computed, for asymmetric intervals.
     columns: Name in the logs → name in the FMU, if different.
-    limits:  Limits of the FMU; `total` limits the estimate.
+    limits:  Limits of time and memory for the FMU; `total` limits the estimation.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -66,10 +66,10 @@ class Request:
     """A request to fit an FMU.
 
     Attributes:
-        vary: Parameters as NAME, NAME=20% or NAME=LOW..HIGH; none: those that the logs determine.
-        start: Further values as NAME=VALUE; of a varied parameter: its first value.
-        per_log: Parameters with a value for each log.
-        profile: Parameters whose likelihood is profiled.
+        vary: Parameters as NAME, NAME=20% or NAME=LOW..HIGH; empty: parameters that the logs determine.
+        start: Values as NAME=VALUE; for a varied parameter, its first value.
+        per_log: Parameters with a separate value for each log.
+        profile: Parameters for which the profile likelihood is computed.
         columns: Log column → variable.
         yaml: Study file of the request; None for options.
     """
@@ -93,7 +93,7 @@ class Request:
     def fault(self, place: Sequence[str | int], message: str, file: Path | None = None) -> Fault:
         """Return a fault of a key of the study.
 
-        Without a study, the fault is that of a file or of the option with the name of the key.
+        Without a study, the fault concerns a file, or the option with the name of the key.
         """
         if self.yaml is None:
             return Fault(file or Path(f"--{place[0]}"), 0, 0, message)
@@ -117,7 +117,7 @@ def request_of(
     columns: Sequence[str] = (),
     limits: str = "",
 ) -> Request:
-    """Return the fit request of the options of `fit`, or of the study given in place of logs.
+    """Return the request from the options of `fit`, or from the study that replaces the logs.
 
     Raises:
         InputError: Options do not fit together, or the study has faults.
@@ -135,7 +135,7 @@ def request_of(
         message = f"is {kind}, which names its FMU, logs and columns; give it without --fmu, --sealed"
         raise InputError.at(path, f"{message} and --column")
     yaml = YamlFile(path)
-    # a study of `cosim refine` has further keys
+    # distinguishes a study of `cosim refine`, which has further keys
     root = {k: v for k, v in yaml.root.items() if kind != STUDY or k in FitStudyFile.model_fields}
     content = yaml.validate(FitStudyFile, root)
     if not content.model.lower().endswith(".fmu"):
@@ -164,12 +164,12 @@ class Parameter:
 
     Attributes:
         start: Value before the estimate.
-        low, high: Bounds, infinite without any.
+        low, high: Bounds; infinite if there are none.
         tolerance: Half-width of the 95 % interval of a normal prior around `start`; None without a prior.
         is_start: True for the start value of a state.
-        per_log: True if a value is estimated for each log: start values, and parameters named by the user.
-        log: Index of the log of a start value; None for a parameter of all logs.
-        spread: Size of a start value that equals an output; 0 for values named by the user.
+        per_log: True if a value is estimated for each log: for start values, and parameters that the user has named.
+        log: Index of the log of a start value; None for a parameter that all logs share.
+        spread: Typical size of a start value that equals an output; 0 for values that the user has named.
     """
 
     name: str
@@ -185,7 +185,7 @@ class Parameter:
 
     @property
     def scale(self) -> float:
-        """Return a typical size: the value, or a tenth of the range if the value is zero."""
+        """Return the typical size of the parameter: its value, or a tenth of its range if the value is zero."""
         width = 0.1 * (self.high - self.low)
         return self.spread or abs(self.start) or (width if math.isfinite(width) else 1.0)
 
@@ -208,7 +208,7 @@ def read_input(request: Request) -> FitInput:
     """Return the logs of a request, the parameters to estimate, and the values of `--start`.
 
     Raises:
-        InputError: Every fault of logs and arguments.
+        InputError: Logs or arguments have faults; the error names all of them.
         FmuError: Only the FMU has faults.
     """
     fmu, paths, yaml, faults = request.fmu, request.logs, request.yaml, list[Fault]()
@@ -253,7 +253,7 @@ def _parameters(request: Request, description: Any, given: Mapping[str, Any]) ->
     of the FMU.
 
     Raises:
-        InputError: Every fault of the names, or there is no parameter.
+        InputError: Names have faults (the error names all of them), or there is no parameter.
     """
     names, offered = {v.name for v in description.modelVariables}, dict[str, Parameter]()
     for v in description.modelVariables:
@@ -276,10 +276,10 @@ def _parameters(request: Request, description: Any, given: Mapping[str, Any]) ->
 
 
 def _named(request: Request, key: str, description: Any, offered: Mapping[str, Parameter]) -> dict[str, Parameter]:
-    """Return the parameters that a key of the request names, with texts such as `mass`, `mass=20%`, `mass=0.3..2 kg`.
+    """Return the parameters that a key of the request names: `mass`, `mass=20%` or `mass=0.3..2 kg`.
 
     Raises:
-        InputError: Every fault.
+        InputError: Texts have faults; the error names all of them.
     """
     variables, faults = {v.name: v for v in description.modelVariables}, list[Fault]()
     chosen: dict[str, Parameter] = {}
@@ -309,7 +309,7 @@ def _named(request: Request, key: str, description: Any, offered: Mapping[str, P
 
 
 def _bounded(description: Any, variable: Any, parameter: Parameter, text: str) -> Parameter:
-    """Return the parameter with bounds or prior."""
+    """Return a parameter with the bounds or prior in a text."""
     name, sides = parameter.name, [split_quantity(side) for side in text.split("..")]
     if text in FREE:
         return parameter

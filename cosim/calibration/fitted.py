@@ -1,4 +1,4 @@
-"""Result of `fit` in Python."""
+"""Result of `cosim.fit` in Python."""
 
 from __future__ import annotations
 

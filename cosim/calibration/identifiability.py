@@ -1,4 +1,4 @@
-"""What logs determine: screening, combinations of parameters without effect, covariance and intervals."""
+"""What logs determine: screened parameters, combinations without effect, covariance and intervals."""
 
 from __future__ import annotations
 
@@ -31,11 +31,10 @@ COMBINATION_SIGNS = {"ratio": " / ", "product": " · ", "sum": " + ", "differenc
 
 
 def screen(likelihood: Likelihood) -> tuple[list[ChoiceEntry], Flags]:
-    """Return the choice among the parameters with reasons, and an array that is True for each selected unknown.
+    """Return selected and rejected parameters with reasons, and an array that is True for each selected unknown.
 
     Each parameter is changed by 1 % and by 10 % of its scale. Parameters with an effect are ranked by pivoted QR of
-    their
-    sensitivities: the next one is least reproducible by those already chosen.
+    their sensitivities: the next parameter is the one that selected parameters reproduce least.
     """
     logs, good = likelihood.logs, [np.isfinite(t) for t in likelihood.best.tables]
     sigma = np.maximum(logs.noise, MIN_NOISE_LEVEL * logs.spread)  # the sensor noise, or the resolution of models
@@ -108,7 +107,7 @@ def _changes(likelihood: Likelihood, move: Array) -> list[Array] | None:
 
 
 def _without(columns: Array, nuisance: Array) -> Array:
-    """Return columns after removal of their projection on nuisance columns."""
+    """Return columns minus their projection on nuisance columns."""
     if not nuisance.shape[1] or not columns.shape[1]:
         return columns
     basis = orthonormal(nuisance / np.maximum(np.linalg.norm(nuisance, axis=0), 1e-300))
@@ -155,7 +154,7 @@ def find_combination(likelihood: Likelihood) -> tuple[CombinationEntry | None, A
         parts = np.flatnonzero(np.abs(direction) > MIN_COMPONENT)
         places, direction = parameters[parts], direction[parts]
         if len(parts) == 1 or (likelihood.precision[places] > 0.0).any():
-            continue  # too weak alone, as its interval shows, or determined by the prior
+            continue  # this parameter alone is too weak, as its interval shows, or the prior determines it
         # relative to the smallest component, and rounded if close to integers
         relative = [each / np.min(np.abs(each)) for each in (direction, direction * scales[places])]
         pairs = [(each, np.rint(each)) for each in relative]
@@ -200,8 +199,8 @@ class Covariance:
     Attributes:
         matrix: Covariance of all unknowns.
         halves: Half-width of the 95 % interval of each unknown.
-        white: Standard deviation of each unknown under the assumption of white residuals.
-        colour: Channel → variance of a mean of its residuals relative to white residuals.
+        white: Standard deviation of each unknown, assuming white residuals.
+        colour: Channel → variance of the mean of its residuals, relative to white residuals.
     """
 
     matrix: Array
@@ -230,7 +229,7 @@ def covariance(likelihood: Likelihood) -> Covariance:
     inverse = scaled_inverse(information)
 
     def sandwich(tables: Sequence[Array]) -> tuple[Array, Array, Sequence[Autoregression]]:
-        """Return the covariance of the estimates, a root of that of the innovations, and the autoregressions."""
+        """Return the covariance of the estimates, a square root of that of the innovations, and autoregressions."""
         models = [_autoregression([t[np.isfinite(t[:, c]), c] for t in tables]) for c in range(sigma.size)]
         innovations, filtered = [], []
         for table, slope in zip(tables, slopes, strict=True):
@@ -285,10 +284,10 @@ def covariance(likelihood: Likelihood) -> Covariance:
 
 
 def profile(likelihood: Likelihood, spread: Covariance, j: int) -> ProfileEntry | None:
-    """Return the profile of an unknown, None if it has no interval.
+    """Return the profile likelihood of an unknown; None if there is no interval.
 
-    The deviance is scaled to 1.96² at the ends of the interval from the covariance if the model is linear in the
-    parameter: residuals that are not white widen both intervals equally (composite likelihood).
+    The deviance is scaled so that, for a model linear in the parameter, it is 1.96² at the ends of the interval from
+    the covariance. Residuals that are not white thus widen both intervals equally (composite likelihood).
     """
     from scipy.optimize import brentq
 
@@ -300,7 +299,7 @@ def profile(likelihood: Likelihood, spread: Covariance, j: int) -> ProfileEntry 
     deviances, unknowns = {centre: 0.0}, {centre: best.x[others]}
 
     def excess(value: float) -> float:
-        """Return the root of the scaled deviance at a value minus 1.96; infinite if the FMU fails."""
+        """Return the square root of the scaled deviance at a value, minus 1.96; infinite if the FMU fails."""
         if value not in deviances:
             inner = likelihood.restricted(others, at=value)
             if inner.point(unknowns[min(unknowns, key=lambda known: abs(known - value))]) is None:
@@ -313,7 +312,7 @@ def profile(likelihood: Likelihood, spread: Covariance, j: int) -> ProfileEntry 
         return math.sqrt(deviances[value]) - NORMAL_95
 
     def end(side: float) -> float | None:
-        """Return the end of the interval below or above the estimate; None if the deviance stays small before it."""
+        """Return the end of the interval below or above the estimate; None if the deviance stays small."""
         inside = centre
         for step in 0.6 * half * 2.0 ** np.arange(PROFILE_DOUBLINGS):
             outside = min(max(centre + side * float(step), float(likelihood.low[j])), float(likelihood.high[j]))

@@ -1,9 +1,8 @@
 """Output-error maximum likelihood for simulations that are expensive and not smooth.
 
 The noise levels are eliminated analytically: −ln L = Σ_c n_c·ln σ_c + ½ Σ ((p − p₀)/σ_p)², σ_c² = Σ e_c²/n_c. The
-gradient equals that of least squares with the weights 1/σ_c². Derivatives are finite differences. A failure of the
-FMU
-costs one trial.
+gradient equals that of least squares with the weights 1/σ_c². Derivatives are finite differences. If the FMU fails,
+only one trial is lost.
 """
 
 from __future__ import annotations
@@ -37,17 +36,17 @@ class OutOfTime(Exception):
 
 
 class Logs:
-    """Logs with their simulation drives, and the common data of all simulations.
+    """Logs with drives that simulate the FMU along them, and data common to all simulations.
 
     Attributes:
         deadline: Clock time at which the time budget is spent.
-        starts: For each log, start parameters by output.
+        starts: Output → start parameter, for each log.
         channels: Outputs measured in any log.
         spread: Standard deviation of the measurements of each channel over all logs.
         noise: Noise level of the sensor of each channel, the median over the logs.
         horizon: Length of windows [s]; None for free runs.
         count: Number of simulations of a whole log so far.
-        failed: Number of rejected simulations, with values and reason of the first.
+        failed: Number of failed simulations, with values and reason of the first one.
     """
 
     def __init__(self, drives: Sequence[Drive], deadline: float = math.inf) -> None:
@@ -63,7 +62,7 @@ class Logs:
         self.starts = [start_parameters(drive) for drive in drives]
 
     def shown_starts(self, values: NamedValues) -> list[Parameter]:
-        """Return the start values that equal outputs, with a first estimate for each log, unless `values` has them."""
+        """Return the start values that equal outputs and are not in `values`, with a first estimate for each log."""
         unknowns = []
         for k, (drive, starts) in enumerate(zip(self.drives, self.starts, strict=True)):
             known = {*values, *drive.given}
@@ -106,9 +105,9 @@ class Point:
     """Values of the unknowns with the residuals of all logs.
 
     Attributes:
-        tables: For each log (rows, channels), NaN without a value.
+        tables: Residuals of each log, shape (rows, channels); NaN without a value.
         counts, sigma: Number of values and standard deviation of each channel.
-        cost: −log-likelihood without the noise levels, up to a constant: Σ n·ln σ and the priors.
+        cost: Negative log-likelihood with eliminated noise levels, up to a constant: Σ n·ln σ plus the priors.
     """
 
     x: Array
@@ -122,7 +121,7 @@ class Likelihood:
     """The likelihood of the logs as a function of the unknowns.
 
     Attributes:
-        given: Values of further parameters, set in every simulation.
+        given: Values of other variables, set in every simulation.
         best: Point with the largest likelihood so far.
         slopes: Derivatives of the residuals by the unknowns, for intervals and identifiability.
     """
@@ -139,7 +138,7 @@ class Likelihood:
     # -- residuals ----------------------------------------------------------------------------
 
     def values(self, x: Array, k: int) -> dict[str, float]:
-        """Return the values to set in log k."""
+        """Return variable → value to set for the simulation of log k."""
         chosen = {u.name: float(v) for u, v in zip(self.unknowns, x, strict=True) if u.log in (None, k)}
         return {**self.given, **chosen}
 
@@ -159,7 +158,7 @@ class Likelihood:
         return tables
 
     def point(self, x: Array) -> Point | None:
-        """Return residuals and cost, None if a simulation fails."""
+        """Return residuals and cost at x; None if a simulation fails."""
         tables = self.tables(x)
         if tables is None:
             return None
@@ -175,11 +174,11 @@ class Likelihood:
         return point
 
     def restricted(self, kept: Flags, at: float | None = None) -> Likelihood:
-        """Return the likelihood of some of the unknowns. The others are fixed, and their priors are not used.
+        """Return the likelihood as a function of some unknowns; the others are fixed, without their priors.
 
         Args:
             kept: True for each unknown that remains.
-            at: Value of the others; None for the best point, which is then the first point of the result.
+            at: Value of the fixed unknowns; None for their best values.
         """
         pairs = [*zip(self.unknowns, self.best.x, kept, strict=True)]
         held = {u.name: float(v) if at is None else at for u, v, k in pairs if not k and u.log is None}
@@ -193,7 +192,7 @@ class Likelihood:
     # -- slopes -------------------------------------------------------------------------------
 
     def measure_slopes(self, central: bool = False) -> Jacobian:
-        """Return the slopes of the residuals at the best point by differences."""
+        """Return the Jacobian of the residuals at the best point, by differences."""
         nothing = np.full(len(self.unknowns), np.nan)
         slopes = [np.where(np.isfinite(t)[..., None], 0.0, nothing) for t in self.best.tables]
         for j, unknown in enumerate(self.unknowns):
@@ -205,7 +204,7 @@ class Likelihood:
         return slopes
 
     def _slope(self, j: int, k: int, *, central: bool) -> Array | None:
-        """Return the slope of log k's residuals by unknown j; None if the FMU fails on both sides."""
+        """Return the derivative of log k's residuals by unknown j; None if the FMU fails on both sides."""
         size, sides = UNKNOWN_STEP * self.scales[j], []
         for side in (size, -size):
             moved = self.best.x.copy()
@@ -223,7 +222,7 @@ class Likelihood:
     def maximize(self, report: Callable[[int], None]) -> bool:
         """Move from the best point to the maximum likelihood by scipy's trust region; return True after convergence.
 
-        As a function of the squared residuals, the loss is −2·ln L; its derivatives weight each output by its noise
+        The loss −2·ln L is passed as a function of squared residuals; its derivatives weight each output by the noise
         level.
         """
         from scipy.optimize import least_squares
@@ -235,7 +234,7 @@ class Likelihood:
         least = (MIN_NOISE_RATIO * self.logs.spread / begin.sigma) ** 2
 
         def misses(x: Array) -> Array:
-            """Return residuals in units of their initial standard deviations, and deviations from the priors."""
+            """Return residuals in initial standard deviations, and deviations from the priors."""
             point = self.point(np.select([x <= low, x >= high], [self.low, self.high], begin.x + x * scales))
             if point is None:
                 return np.full(cells + x.size, np.nan)

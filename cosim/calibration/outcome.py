@@ -46,9 +46,9 @@ class Part:
 
     Attributes:
         sealed: True for logs that were opened after the fit.
-        rises: Outputs whose error increases significantly on sealed logs.
-        log: The last log.
-        before, after: Model outputs for this log over the decisive horizon.
+        rises: Outputs whose error has increased significantly on sealed logs.
+        log: The last log of the set.
+        before, after: Model outputs for `log` over the horizon that decides the verdict.
     """
 
     sealed: bool
@@ -60,9 +60,9 @@ class Part:
 
 
 def prove(parameters: Sequence[Parameter], estimate: Estimate, drives: Sequence[Drive], *, sealed: bool) -> Part:
-    """Return the errors of a set of logs, by the replays of `cosim replay`, with the values before and after the fit.
+    """Return the errors on a set of logs before and after the fit, measured by replays as in `cosim replay`.
 
-    Sealed logs take the mean of values per log.
+    For sealed logs, parameters with a value per log have the mean value.
     """
     assert estimate.likelihood is not None
     likelihood, horizon = estimate.likelihood, estimate.logs.horizon or FREE_RUN
@@ -83,7 +83,7 @@ def prove(parameters: Sequence[Parameter], estimate: Estimate, drives: Sequence[
                 squares.setdefault(name, []).extend([floor.rmse**2] if math.isfinite(floor.rmse) else [])
     common = set.intersection(*(set(replays) for side in sides for replays in side))
     horizon = horizon if horizon in common else FREE_RUN
-    errors = {}  # horizon → channel → root mean square error before and after, pooled over the logs
+    errors = {}  # horizon → channel → RMSE before and after, over all logs together
     for span in sorted(common, key=lambda span: (span != horizon, span)):
         old, new = (pool_errors(r[span].errors(log) for log, r in zip(logs, side, strict=True)) for side in sides)
         errors[span] = {name: (finite(old[name]), finite(new[name])) for name in old}
@@ -113,7 +113,7 @@ def write_record(
     """Return the content of fit.json.
 
     Args:
-        parts: Errors on the logs of the estimate, then on sealed logs; empty for a stopped fit.
+        parts: Errors on the estimation logs, then on sealed logs; empty for a stopped fit.
         given: Values of `--start` that are not estimated.
     """
     assert estimate.likelihood is not None
@@ -151,7 +151,7 @@ def write_record(
         roots = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
         correlation = np.clip(matrix / np.outer(roots, roots), -1.0, 1.0).tolist()
     verdict: Verdict = "stopped"
-    if parts:  # by the geometric mean, over the channels, of the ratio of errors after/before
+    if parts:  # verdict from the geometric mean over channels of the ratio of errors after/before
         channels = parts[-1].errors.channels.values()
         logarithms = [math.log(c.after / c.before) for c in channels if c.before and c.after]
         ratio = math.exp(float(np.mean(logarithms))) if logarithms else math.nan
@@ -192,7 +192,7 @@ def write_record(
 
 
 def _sentence(record: Record, parts: Sequence[Part]) -> str:
-    """Return the verdict as a headline with the outputs that change most, and a sentence on the estimate."""
+    """Return a headline with the verdict and the outputs that change most, and a sentence on the estimate."""
     count = sum(entry.status != "held" for entry in record.parameters.values()) + len({e.name for e in record.per_log})
     runs = counted(record.simulations, "simulation")
     effort = f"{counted(count, 'parameter')} from {counted(len(record.logs), 'log')} by {runs}."
@@ -239,7 +239,7 @@ def _warnings(record: Record, estimate: Estimate, parts: Sequence[Part]) -> Iter
         yield f"{above}: no value of these parameters explains it. {cure}"
 
 
-# -- record of credibility, from held-out replays of the logs of the estimate -----------------------
+# -- record of credibility, from replays of held-out estimation logs -----------------------
 
 
 Values = NamedValues
@@ -248,11 +248,11 @@ Values = NamedValues
 def credibility_of(
     record: Record, likelihood: Likelihood, drives: Sequence[Drive], sealed: Sequence[Drive], values: Sequence[Values]
 ) -> tuple[Credibility, Coverage | None]:
-    """Return the record of a fitted FMU, and the coverage of its bands on sealed logs.
+    """Return the record of credibility of a fitted FMU, and the coverage of its error bands on sealed logs.
 
     Args:
-        drives: Drives of the logs of the estimate.
-        values: Estimates for each of these logs.
+        drives: Drives of the estimation logs.
+        values: Estimated values for each of these logs.
     """
     logs = [drive.log for drive in drives]
     shared = {n: float(np.mean([v[n] for v in values])) for n in values[0]}
@@ -294,7 +294,7 @@ def credibility_of(
 
 
 def _without(likelihood: Likelihood, k: int, values: Values) -> dict[str, float]:
-    """Return the estimates for log k without that log, by one Gauss-Newton step from the estimate with it.
+    """Return the estimates without log k, by a Gauss-Newton step from the estimates with all logs.
 
     With the slopes S and errors e of a log, weighted by the noise, and the precision P of the priors, the step is
     (Σ S'·S + P)⁻¹·S_k'·e_k, where the sum is over the other logs.
@@ -315,7 +315,7 @@ def _without(likelihood: Likelihood, k: int, values: Values) -> dict[str, float]
 
 
 def _replay(drive: Drive, horizon: float) -> Replay:
-    """Return windows of a horizon, or the free run where there are none."""
+    """Return windows of a horizon, or the free run if windows are impossible."""
     free = free_run(drive)
     return (None if horizon == FREE_RUN else self_started(drive, free, horizon)) or free
 
@@ -323,7 +323,7 @@ def _replay(drive: Drive, horizon: float) -> Replay:
 def _tracks(
     drives: Sequence[Drive], spans: Mapping[float, float], inside: Sequence[Flags] = ()
 ) -> dict[float, list[Track]]:
-    """Return end of interval → track of each log; a log on which the FMU fails or allows no windows has none."""
+    """Return end of interval → track (replay errors) of each log on which the FMU does not fail."""
     tracks: dict[float, list[Track]] = {end: [] for end in spans}
     for k, drive in enumerate(drives):
         log = drive.log

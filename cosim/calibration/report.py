@@ -27,7 +27,7 @@ STRONG = 0.95  # correlation of two estimates that is reported
 
 
 def page(record: Record, estimate: Estimate, parts: Sequence[Part]) -> str:
-    """Return a self-contained page."""
+    """Return the self-contained HTML page of a fit."""
     charts = Charts()
     headline, details = split_sentence(record.sentence)
     verdict, tone = str(record.verdict), {"improved": "good", "worse": "bad"}.get(record.verdict, "plain")
@@ -94,7 +94,7 @@ def _places(p: ParameterEntry) -> dict[str, float]:
 
 
 def _profile_plot(name: str, p: ParameterEntry, charts: Charts) -> Plot:
-    """Draw the deviance over a parameter, with the level of 95 %."""
+    """Draw the deviance over a parameter, with the 95 % limit."""
     assert p.profile is not None
     values, deviance = displayed(np.array(p.profile.values), p.unit), np.array(p.profile.deviance)
     ends = float(values[0]), float(values[-1])

@@ -87,7 +87,7 @@ def fit(
         Estimates with 95 % intervals, and the errors before and after.
 
     Raises:
-        InputError: Every fault of the input.
+        InputError: The input is wrong; the error names all faults.
         FmuError: An FMU cannot be read or loaded.
         SimulationError: The FMU fails with the values before the fit, or a limit is reached; the best values so far
             are in `out`.
@@ -194,7 +194,7 @@ def fit(
 
 
 def check_fit_study(path: Path, checking: Checking) -> list[str]:
-    """Return a note on what a fit of the study will estimate.
+    """Return a note on the parameters that a fit of the study will estimate.
 
     Raises:
         InputError: The study has faults.
@@ -250,12 +250,12 @@ def deliver(
 ) -> tuple[str, str]:
     """Write an FMU with other start values that behaves like the original with these values set.
 
-    For comparison, it is simulated without setting any of the values.
+    The new FMU is simulated without setting values, and compared with the original.
 
     Args:
         drive: Drive of the original over a log.
-        start: Start values of the log, for both runs.
-        load: Function that returns a drive of an FMU over that log, as a context manager.
+        start: Start values of the log, set in both simulations.
+        load: Function that returns a drive of an FMU over the log, as a context manager.
 
     Returns:
         The method: "copied", "wrapped" or "" for failure; and the reason why it was not copied, or why it failed.

@@ -1,1 +1,1 @@
-"""Comparison of runs with a baseline: differences of all signals, inputs and criteria side by side, and the page."""
+"""Comparison of runs with a baseline: differences of signals, inputs and criteria, and the page."""

@@ -80,14 +80,14 @@ class RowsBetween:
         return np.fmin.reduceat(padded, ends)[::2], np.fmax.reduceat(padded, ends)[::2]
 
     def only(self, *, jumps: bool = False) -> RowsBetween:
-        """Return only the rows between rows of a or at jumps; with `jumps`, only the rows at jumps."""
+        """Return the rows of b that are between rows of a or at jumps; with `jumps`, only those at jumps."""
         chosen = (self.first < self.last) & (self.is_jump | (not jumps))
         first, last = self.first[chosen], self.last[chosen]
         return RowsBetween(self.rows[chosen], self.time[chosen], first, last, self.is_jump[chosen])
 
 
 def surroundings(a: Array, b: Array, tolerance: float) -> RowsBetween:
-    """Return the rows of b within the time of a, each with its surrounding rows of a (one row if the times are equal).
+    """Return the rows of b within the time of a, with the surrounding rows of a (a single row at an equal time).
 
     Args:
         tolerance: Largest difference of equal times [s].
@@ -114,8 +114,8 @@ class Difference:
         scale: Range of a; for a constant its magnitude, or 1 if it is zero.
         share: largest / scale.
         beyond: True if the tolerance is exceeded.
-        note: Note on units or text.
-        alike: True if the dimensions agree.
+        note: Note on different units, or on text.
+        alike: True if the units of both runs have the same dimension.
     """
 
     name: str
@@ -136,7 +136,7 @@ class Difference:
 
 
 def common_rows(a: RecordedRun, b: RecordedRun) -> tuple[slice, bool]:
-    """Return the rows of a within the time of b, and True if both runs have equal times there."""
+    """Return the rows of a within the time of b, and True if both runs have the same times in these rows."""
     first, second = a.results.time, b.results.time
     count = min(first.size, second.size)
     if not count:
@@ -274,7 +274,7 @@ class Compared:
 
     @property
     def reasons(self) -> list[str]:
-        """Return the reasons why b does not match a, as phrases; empty for a match."""
+        """Return the reasons why b does not match a, as phrases; an empty list if b matches."""
         different = self.beyond if self.judged else [d for d in self.differences if d.largest]
         count = sum(d.alike for d in different)
         verb = "beyond the tolerance" if self.judged else "differs" if count == 1 else "differ"

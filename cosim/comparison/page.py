@@ -52,7 +52,7 @@ def styles_of(c: ComparedRuns) -> dict[int, str]:
 
 @far_beyond
 def comparison_page(runs: ComparedRuns) -> str:
-    """Return the page of a comparison."""
+    """Return the self-contained HTML page of a comparison."""
     first, differing, charts = runs.comparisons[0], runs.differing, Charts()
     base, others = runs.shorts[runs.baseline], [runs.shorts[k] for k in runs.others]
     paths, tolerance = [str(runs.runs[k].path) for k in (runs.baseline, *runs.others)], ""
@@ -98,7 +98,7 @@ def comparison_page(runs: ComparedRuns) -> str:
 
 
 def _short(texts: Iterable[str]) -> list[str]:
-    """Return texts with paths as the names of their files, where these differ too."""
+    """Return texts in which file names replace paths, if the file names differ too."""
     whole = [*texts]
     names = [text.rpartition("/")[2] if text.startswith("/") else text for text in whole]
     return names if len({*names}) == len({*whole}) else whole

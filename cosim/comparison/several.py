@@ -282,7 +282,8 @@ def compare_several(
         absolute: Size in the signal's unit, added to the share.
 
     Raises:
-        InputError: Every run that cannot be read, or that shares no signal or time with the baseline.
+        InputError: Runs cannot be read, or have no common signal or time with the baseline; the error names all of
+            them.
     """
     read = lru_cache(MOST_IN_MEMORY)(lambda k: sources[k].read())
     base = read(baseline)

@@ -1,1 +1,1 @@
-"""What an FMU knows about itself: its logs, the region that they cover, error bands, and the SHA-256 of its content."""
+"""The record of credibility in an FMU: logs, the region that they cover, error bands, and the content's SHA-256."""

@@ -1,10 +1,10 @@
 """Error bands by conformal prediction over blocks.
 
-Errors of held-out replays come in n blocks, a replay each. Each block has the weight 1/(n + 1), spread evenly over its
-rows, and infinity has the rest. If a further replay is exchangeable with these blocks, the quantile of level 1 − α of
-the weights bounds the absolute error of its rows with a probability between 1 − α and 1 − α + 1/(n + 1), whatever the
-distribution of the errors (Lee, Barber and Willett 2023, Distribution-free inference with hierarchical data). With
-blocks of one row this is split conformal prediction.
+Errors of held-out replays form n blocks, one per replay. Each block has the weight 1/(n + 1), spread evenly over its
+rows; an infinite error has the remaining weight. If a further replay is exchangeable with these blocks, the quantile of
+level 1 − α of the weights bounds the absolute error of its rows with a probability between 1 − α and 1 − α + 1/(n + 1),
+whatever the distribution of the errors (Lee, Barber and Willett 2023, Distribution-free inference with hierarchical
+data). With blocks of one row this is split conformal prediction.
 """
 
 from __future__ import annotations
@@ -30,10 +30,10 @@ LEAST_ROWS = 4  # of the first interval
 
 
 def conformal_quantile(blocks: Sequence[Array], level: float) -> float:
-    """Return the size that bounds a row of a further block with a probability of at least `level`.
+    """Return a size that a row of a further block does not exceed with a probability of at least `level`.
 
     Args:
-        blocks: Sizes of each block; empty blocks do not count.
+        blocks: Sizes of the errors in each block; empty blocks are ignored.
 
     Returns:
         The size, infinite for too few blocks.
@@ -53,10 +53,10 @@ class Track:
     """Errors of the replays of a log over one horizon.
 
     Attributes:
-        errors: Output → measured − model, NaN where either is missing, infinite where the model diverges.
+        errors: Output → measured − model, NaN where one of them is missing, infinite where the model diverges.
         ages: Time since the start of the replay [s], shape (rows,), NaN before the first replay.
         replays: Number of the replay of each row.
-        inside: True for rows in the region of the logs; None if that is not known.
+        inside: True for rows in the region of the logs; None if this is unknown.
     """
 
     errors: NamedArrays
@@ -68,10 +68,10 @@ class Track:
 def track_of(
     time: Array, starts: Sequence[int], errors: NamedArrays, *, inside: Flags | None = None, free: bool = False
 ) -> Track:
-    """Return the track of replays that begin at the rows `starts`; a start row belongs to the replay before.
+    """Return the track of replays that begin at the rows `starts`; a start row belongs to the previous replay.
 
     Args:
-        free: True for one free run, whose parts are the blocks.
+        free: True for a single free run, which is divided into blocks.
     """
     begins = np.asarray(starts, np.intp)
     replays = np.searchsorted(begins, np.arange(time.size), side="left") - 1
@@ -104,14 +104,14 @@ def _count(durations: Sequence[float], horizon: float) -> int:
 class Bands(BaseModel):
     """Half-width of the error band of each output, by the time since the start of a run.
 
-    level: share of the errors of a further replay in the band
+    level: probability that an error of a further replay is within the band
     horizons: ends of the intervals of time since the start [s], increasing
-    replays: number of replays behind each interval
+    replays: number of replays from which each interval is computed
     widths: output → half-width in each interval, in the unit of the output; null: unknown
     units: output → unit
     held_out: true if each replayed log was left out of the estimate that replayed it
-    free_run: true if the last interval is that of free runs over whole logs
-    reason: why there is no band, empty otherwise
+    free_run: true if the last interval is computed from free runs over whole logs
+    reason: reason why there is no band; empty if there is one
     """
 
     level: Finite = BAND_COVERAGE
@@ -144,11 +144,11 @@ class Bands(BaseModel):
 
 
 def bands_of(tracks: Mapping[float, Sequence[Track]], units: Mapping[str, str], *, held_out: bool, free: bool) -> Bands:
-    """Return the bands from held-out replays: the interval before each horizon takes the replays of that horizon.
+    """Return the bands from held-out replays. The interval up to each horizon is computed from replays of this horizon.
 
     Args:
         tracks: Horizon [s] → track of each log.
-        free: True if the last horizon is that of free runs.
+        free: True if the last horizon is a free run.
     """
     horizons = sorted(tracks)
     names = dict.fromkeys(name for each in tracks.values() for track in each for name in track.errors)
@@ -192,9 +192,9 @@ def _blocks(track: Track, name: str, low: float, high: float) -> list[Array]:
 
 
 class Coverage(BaseModel):
-    """Share of the errors of sealed logs that lie in the bands.
+    """Share of the errors on sealed logs that are within the error bands.
 
-    outputs: output → share of the rows within the region
+    outputs: output → share of errors within the band, in rows within the region
     rows: number of these rows, over all outputs
     inside: share of the rows of sealed logs within the region
     """
@@ -205,14 +205,14 @@ class Coverage(BaseModel):
 
     @property
     def sentence(self) -> str:
-        """Return the coverage in words."""
+        """Return the coverage as a sentence."""
         shares = join_names([f"{percent(share)} of {name}" for name, share in self.outputs.items()])
         inside = f"{percent(self.inside)} of the sealed rows lie in the region of the logs"
         return f"{inside}. There, the {100 * BAND_COVERAGE:g} % error bands of the FMU hold {shares}."
 
 
 def coverage_of(bands: Bands, tracks: Mapping[float, Sequence[Track]]) -> Coverage | None:
-    """Return the coverage of replays that the bands do not know; None without rows."""
+    """Return the coverage of replays that were not used for the bands; None without rows."""
     counts: dict[str, list[int]] = {name: [0, 0] for name in bands.widths}
     inside, low = [], 0.0
     for horizon in sorted(tracks):

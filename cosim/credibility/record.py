@@ -1,4 +1,4 @@
-"""The record of credibility in an FMU: content, schema, the files that hold it, and the SHA-256 of the FMU."""
+"""The record of credibility in an FMU: content, schema, its files in the FMU, and the SHA-256 of the FMU."""
 
 from __future__ import annotations
 
@@ -74,13 +74,13 @@ class Correlations(BaseModel):
 
 
 class Credibility(BaseModel):
-    """Where an FMU is valid, and how wrong it is there.
+    """The region in which an FMU is valid, and the size of its errors there.
 
     command: command that estimated the FMU
     verdict: verdict of that command
-    sentence: the verdict in plain words
-    logs: logs of the estimate, which region and bands rest on
-    sealed: logs that were opened after the estimate, and serve neither region nor bands
+    sentence: verdict in plain words
+    logs: estimation logs, from which region and bands are computed
+    sealed: logs that were opened after the estimation; region and bands do not use them
     parameters: estimated parameters by name
     versions: versions of the software
     """
@@ -142,7 +142,7 @@ def _with_interval(p: ParameterRecord) -> str:
 
 
 def attach(fmu: Path, record: Credibility) -> None:
-    """Write a record, its metadata for SSP and the SHA-256 of the content into an FMU, in place of earlier ones."""
+    """Write a record, metadata for SSP and the SHA-256 of the content into an FMU, replacing earlier ones."""
     content = record.model_dump(mode="json")
     members = {RECORD: json.dumps(content, allow_nan=False).encode(), SRMD: _srmd(record)}
     _rewrite(fmu, members, drop=IDENTITY)
@@ -150,7 +150,7 @@ def attach(fmu: Path, record: Credibility) -> None:
 
 
 def _rewrite(fmu: Path, members: Mapping[str, bytes], drop: str = "") -> None:
-    """Write files into an FMU in place of others of their names; all other files keep date and place."""
+    """Write files into an FMU, replacing files of the same name; all other files keep date and position."""
     with draft_of(fmu) as draft, zipfile.ZipFile(fmu) as old, zipfile.ZipFile(draft, "w") as new:
         for member in old.infolist():
             if member.filename not in members and member.filename != drop:
@@ -198,14 +198,14 @@ def require_credibility(fmu: Path) -> tuple[Credibility, str]:
 
 
 class Found(NamedTuple):
-    """The record of an FMU, None without one that can be read, and what is wrong with it, else empty."""
+    """The record of an FMU (None if there is no readable one), and a message on what is wrong with it, or ""."""
 
     record: Credibility | None
     problem: str = ""
 
 
 def read_credibility(fmu: Path) -> Found:
-    """Return the record of an FMU."""
+    """Return the record of an FMU, or why it cannot be read."""
     about = fmu.stat()
     return _read(fmu, about.st_mtime_ns, about.st_size, about.st_ino)
 
@@ -235,7 +235,7 @@ def _read(fmu: Path, _time: int, _size: int, _file: int) -> Found:
 
 
 def content_hash(fmu: Path) -> str:
-    """Return the SHA-256 of names and contents of all files of an FMU but its identity."""
+    """Return the SHA-256 of names and contents of all files in an FMU, except the file with this SHA-256."""
     sha = hashlib.sha256()
     with zipfile.ZipFile(fmu) as archive:
         for member in sorted(archive.infolist(), key=lambda m: m.filename):

@@ -1,4 +1,4 @@
-"""The region that logs cover: points in scaled coordinates, and the usual distance of a new point to the nearest one.
+"""The region that logs cover: points in scaled coordinates, and a threshold for the distance to the nearest point.
 
 Coordinates are inputs, outputs, and rates of outputs. A sample has the values at its start, and the rates up to its
 end, about one step of the logs later. The distance of a sample is the largest difference of a coordinate from the
@@ -46,23 +46,23 @@ class Coordinate(BaseModel):
 
     @property
     def name(self) -> str:
-        """Return the name: `level`, `rate of level`."""
+        """Return the name, such as `level` or `rate of level`."""
         return f"rate of {self.signal}" if self.kind == "rate" else self.signal
 
     @property
     def is_constant(self) -> bool:
-        """Return whether the logs never move the coordinate."""
+        """Return True if the coordinate is constant in the logs."""
         return self.high - self.low <= CONSTANT_SIGNAL_RANGE * max(1.0, abs(self.low), abs(self.high))
 
 
 class Region(BaseModel):
     """Region of inputs, outputs and rates that logs cover.
 
-    step: time over which a rate is taken, the step of the logs [s]
-    left_out: signal or rate that is no coordinate → reason
-    threshold: distance from which a point is outside, in scales
-    points: points of the logs, for each coordinate the distance from `low` in scales
-    reason: why there is no region, empty otherwise
+    step: time over which a rate is computed, the step of the logs [s]
+    left_out: signal or rate that is not a coordinate → reason
+    threshold: distance, in scales, above which a point is outside
+    points: points of the logs; each coordinate is the distance from `low` in scales
+    reason: reason why there is no region; empty if there is one
     """
 
     step: Finite = 0.0
@@ -81,7 +81,7 @@ class Region(BaseModel):
 
     @property
     def constant(self) -> list[str]:
-        """Return the coordinates that the logs never move."""
+        """Return the names of the coordinates that are constant in the logs."""
         return [c.name for c in self.coordinates if c.is_constant]
 
 
@@ -91,7 +91,7 @@ class Stretch(NamedTuple):
     Attributes:
         time: Increasing times [s].
         signals: Name → (rows,), NaN without a value.
-        restarts: Rows at which the model starts anew.
+        restarts: Rows at which the model is restarted.
     """
 
     time: Array
@@ -106,7 +106,7 @@ class Distances:
     Attributes:
         ratio: Distance relative to the threshold, shape (rows,); above 1 outside; NaN if a coordinate is missing.
         farthest: Coordinate with the largest difference, shape (rows,).
-        missing: Coordinates without a signal, which are not judged.
+        missing: Coordinates whose signals are missing, which are ignored.
     """
 
     time: Array
@@ -116,7 +116,7 @@ class Distances:
 
     @property
     def inside(self) -> Flags:
-        """Return the rows in the region."""
+        """Return True for the rows in the region."""
         return ~(self.ratio > 1.0)
 
 
@@ -130,7 +130,7 @@ def region_of(
     """Return the region of logs.
 
     Args:
-        stretches: Inputs of the logs with the outputs that the model has there.
+        stretches: Inputs of the logs, with outputs of the model.
         inputs: Names of the inputs; other signals are outputs.
         step: Time between rows [s].
         free: Outputs on whose level nothing depends, such as a position; only their rates are coordinates.
@@ -212,7 +212,7 @@ def _table(stretch: Stretch, coordinates: Sequence[tuple[str, Any]], ends: Rows)
 
 
 def _spread_out(points: Array, most: int) -> Rows:
-    """Return the rows of points that cover all of them best: each next one is the farthest from those before."""
+    """Return the indices of points that cover all points well; each one is the farthest from all previous ones."""
     chosen = [0]
     apart = np.abs(points - points[0]).max(axis=1)
     while len(chosen) < min(most, len(points)) and apart.max() > 0.0:
@@ -222,7 +222,7 @@ def _spread_out(points: Array, most: int) -> Rows:
 
 
 def _left_out_distances(points: Array, block: Rows, chosen: Rows) -> list[Array]:
-    """Return the distances of the points of each block to chosen points outside the block and its neighbours."""
+    """Return the distance of each block's points to the nearest chosen point outside the block and its neighbours."""
     from scipy.spatial import cKDTree
 
     found = []
@@ -234,7 +234,7 @@ def _left_out_distances(points: Array, block: Rows, chosen: Rows) -> list[Array]
 
 
 def distances(region: Region, stretch: Stretch) -> Distances:
-    """Return the distance of consecutive samples from a region, or of MAX_REGION_ROWS of them, at their starts."""
+    """Return the distance of signals from a region, at rows about a step apart (at most MOST_ROWS rows)."""
     from scipy.spatial import cKDTree
 
     ends = _sample_ends(stretch.time, region.step)

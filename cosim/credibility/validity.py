@@ -1,4 +1,4 @@
-"""Validity of a run of an FMU with a record: the time in the region of its logs, and the error bands of its outputs."""
+"""Validity of a run of an FMU with a record of credibility: time in the region of its logs, and error bands."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ Validity = Mapping[str, Any]
 
 
 def validities(components: Iterable[Any], results: Results) -> dict[str, dict[str, Any]]:
-    """Return component → validity in a run, for FMUs with a record."""
+    """Return component → validity in a run, for FMUs with a record of credibility."""
     found = {}
     for block in components:
         if not (isinstance(block, FmuBlock) and any(read_credibility(block.path))):

@@ -1,1 +1,1 @@
-"""Experiments that separate rival hypotheses within limits."""
+"""Design of experiments that separate rival hypotheses within limits of signals."""

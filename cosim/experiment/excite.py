@@ -1,8 +1,8 @@
 """`cosim excite`: the input that best separates rival hypotheses, and a scenario that applies this input.
 
-Random experiments are simulated without noise and scaled to the limits. The best one separates most pairs of rivals;
-among equals it has the largest distance of the closest separated pair. A pair that no input separates has no influence
-on the choice.
+Random experiments are simulated without noise and scaled to the limits. The best experiment separates the most pairs of
+rivals and, among equals, has the largest distance of the closest separated pair. A pair that no input separates does
+not influence the choice.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from cosim.logs.log import slowness
 EXPERIMENTS = 48
 DURATION, SHORTEST, LONGEST = 40.0, 5.0, 600.0  # [s], for a model with a step of at most 50 ms
 MAX_RIVALS = 4  # pairs simulated for every preferred experiment; the others are simulated at the end
-EXCURSION_SHARE = 0.95  # share of the allowed excursion for a second attempt
+EXCURSION_SHARE = 0.95  # share of the allowed excursion to which a second attempt is scaled
 SMALLER = 5  # number of times that an input is reduced for a rival that exceeds the limits
 MIN_DISTANCE = 1.0  # standard deviations below which noise hides the difference
 MULTISINE_TONES = 12
@@ -52,7 +52,7 @@ class Excitation:
     Attributes:
         trial, rivals: Simulations of the model and of each rival with the same input signals.
         apart: Distance of each pair of rivals [standard deviations].
-        usual: Distance of each pair under the rig's usual input, for comparison [standard deviations].
+        usual: Distance of each pair with the usual input, for comparison [standard deviations].
     """
 
     question: Question
@@ -127,11 +127,11 @@ class Excitation:
 def merit_of(apart: Mapping[Pair, float], excess: float = 1.0) -> tuple[int, float]:
     """Return the number of separated pairs and the smallest of their distances.
 
-    Without separated pairs, the largest distance counts.
+    If no pair is separated, the second value is the largest distance.
 
     Args:
         apart: Distance of each pair [standard deviations].
-        excess: Largest excursion relative to its limit; reduces the distances.
+        excess: Largest excursion relative to its limit; above 1, it reduces the distances.
     """
     distances = [distance / excess for distance in apart.values()]
     separated = [distance for distance in distances if distance >= MIN_SEPARATION]
@@ -173,7 +173,7 @@ def excite(
         The chosen experiment and the distance of each pair of hypotheses [standard deviations].
 
     Raises:
-        InputError: Every fault of the input, or no experiment separates any pair.
+        InputError: The input is wrong (the error names all faults), or no experiment separates any pair.
     """
     from cosim.fmi.fmu_build import build
 
@@ -217,7 +217,7 @@ def excite(
 
 
 def _times(text: str, step: float, duration: float | None) -> Array:
-    """Return the times of all rows [s]; a model with long steps gets a longer default duration."""
+    """Return the times of all rows [s]; for a model with long steps, the default duration is longer."""
     default, shortest, longest = (slowness(step) * seconds for seconds in (DURATION, SHORTEST, LONGEST))
     duration = default if duration is None else duration
     if not shortest <= duration <= longest:
@@ -229,7 +229,7 @@ def _times(text: str, step: float, duration: float | None) -> Array:
 def _choose(
     question: Question, rig: OpenLoop, time: Array, seed: int, count: int, report: Progress
 ) -> Excitation | None:
-    """Return the best of `count` experiments, None if all exceed the limits."""
+    """Return the best of `count` experiments, or None if all of them exceed the limits."""
     model, subject = question.loaded.model, question.subject
     usual_trial = rig.play(model, rig.usual_signals(time))
     log = usual_trial.log(model, question.measured)
@@ -242,19 +242,19 @@ def _choose(
     def play_rivals(trial: Trial) -> dict[str, Trial]:
         """Return the simulation of each rival with the signals of a trial."""
         base, trials = subject.model, {}
-        sensors = {k.name for k in base.sensors}  # their errors do not change the model
+        sensors = {k.name for k in base.sensors}  # sensor errors do not change the model
         for rival in question.rivals:
             values = {n: v for n, v in rival.values.items() if n.split(".")[0] not in sensors}
             if (other := base.with_values(values)) != model:
                 trials[rival.name] = rig.play(other, trial.signals)
         return trials
 
-    for k in range(-1, count):  # the usual input first, so that a worse input is never preferred
+    for k in range(-1, count):  # first the usual input, so that no worse input is chosen
         report("trying experiments", max(0, k) / count)
         trial, apart = usual_trial, usual
         if k >= 0:
             trial = rig.play(model, draw_signals(np.random.default_rng([seed, k]), rig.axes, time))
-            if (excess := trial.excess(question.limits)) > 1.0:  # again, scaled to the limits
+            if (excess := trial.excess(question.limits)) > 1.0:  # simulate again, scaled to the limits
                 smaller = {name: signal * EXCURSION_SHARE / excess for name, signal in trial.signals.items()}
                 trial = rig.play(model, smaller)
         if trial.excess(question.limits) > 1.0:

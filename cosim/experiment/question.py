@@ -1,9 +1,9 @@
 """Specification of an experiment: model, rival hypotheses, measured outputs and limits; separation of the rivals.
 
-The separation is T-optimality with the filter of the later refinement. After Atkinson and Fedorov (1975): the value of
-an input is the remaining difference between two models after the parameters of one model have been fitted to the other.
-Innovations are compared, as in `refine`, so that disturbances hide the same differences. With e the innovations, s
-their variances and θ the fitted parameters:
+The criterion is T-optimality (Atkinson and Fedorov 1975): the value of an input is the difference between two models
+that remains after the parameters of one model have been fitted to the other. Innovations of the filter are compared, as
+in `refine`, so that disturbances hide the same differences. With e the innovations, s their variances and θ the fitted
+parameters:
 
     D² = min over δ of Σ (e_a − e_b − ∂e_b/∂θ·δ)²/s + Σ (δ/σ)²,  σ the prior of a base parameter
 
@@ -54,7 +54,7 @@ from cosim.terms.code import fmu_model
 from cosim.terms.language import Term, with_place
 
 PARAMETER_ERROR = 0.2  # relative error of a wrong base parameter; suspect parameters use the size of their fits
-MIN_SEPARATION = 3.0  # standard deviations between rivals that a log needs for a decision
+MIN_SEPARATION = 3.0  # distance between rivals, in standard deviations, that a log needs for a decision
 Pair = tuple[str, str]
 
 
@@ -142,12 +142,12 @@ def separation(
     }
 
 
-# The question that an experiment is to answer.
+# Specification of an experiment: what it must decide.
 
 
 BASE_RIVAL = "nothing"
 NOISE_SHARE = 0.01  # assumed noise of an output, relative to its spread, without logs
-# Kinds of terms at one place that are hard to separate in small or short experiments.
+# Kinds of terms at the same place that are hard to separate in small or short experiments.
 CONFUSED = (
     ("delay", "lag", "second_order_lag", "rate_limit"),
     ("dead_band", "play"),
@@ -164,10 +164,10 @@ class Question:
 
     Attributes:
         loaded: Model under test.
-        subject: Subject from which the rivals differ, for the filter: `loaded`, or `loaded` without its effects.
-        measured: Logged outputs; `noise` has standard deviations that differ from the model's.
+        subject: Subject from which the rivals differ: `loaded`, or `loaded` without its effects.
+        measured: Logged outputs. noise: Output → standard deviation of its noise, if it differs from the model's.
         limits: Largest excursion of an input or output from its start.
-        ranges: Input → smallest and largest value, declared, requested, or observed in logs.
+        ranges: Input → smallest and largest value, as declared, as requested, or as in logs.
         first: Output of an FMU → reading at the start.
     """
 
@@ -210,11 +210,12 @@ def ask(
     ranges: Sequence[str] = (),
     duration: float | None = None,
 ) -> Question:
-    """Return the question of an experiment: a model, its rival hypotheses, and limits of signals.
+    """Return the specification of an experiment: model, rival hypotheses, and limits of signals.
 
     Args:
         text: `base`, a model file, an FMU, or a refine.json or its folder.
-        against: Names of rivals; by default those of the refinement, or those hard to separate in the model.
+        against: Names of rivals; by default rivals of the refinement, or candidates of the model that are hard to
+            separate.
         limits: Texts NAME=VALUE: largest distance of an input or output from its start value, with unit.
         measured: Outputs that will be logged; by default those of the refinement or of the model.
         ranges: Texts NAME=MIN..MAX: range of an input, with unit.
@@ -262,9 +263,9 @@ def refinement_folder(text: str) -> Path | None:
 
 
 def _question_of_refinement(path: Path, against: Sequence[str]) -> Question:
-    """Return the question of a refinement.
+    """Return the specification of an experiment that separates the rivals of a refinement.
 
-    Rivals have the values of their significant fits. A rival without a significant fit has its typical size.
+    A rival with a significant fit has the fitted values. Any other rival has its typical size.
     """
     yaml = YamlFile(path)
     if isinstance(yaml.root, dict) and yaml.root.get("finished") is False:
@@ -324,7 +325,7 @@ def _fitted_rival(
     candidates: Mapping[str, Candidate],
     values: Mapping[str, float],
 ) -> Rival:
-    """Return a rival with the parameters of its best significant fit alone; unchanged without such a fit.
+    """Return a rival with the parameters of its best significant fit without other candidates, if there is one.
 
     A fit without significance is often close to the neutral value, at which no input separates the rival.
     """
@@ -345,7 +346,7 @@ def _fitted_rival(
 def _question_of_fmu(
     path: Path, against: Sequence[str], limits: Sequence[str], ranges: Sequence[str], duration: float | None
 ) -> Question:
-    """Return the question of an FMU, which is probed by a pulse of each input.
+    """Return the specification of an experiment for an FMU, whose structure is found with a pulse of each input.
 
     Args:
         against: Names of the rivals; by default the terms that are hard to separate at each place.
@@ -408,7 +409,7 @@ def _confused_groups(model: Model) -> list[set[str]]:
 
 
 def _question_of_model(path: Path, loaded: LoadedModel, against: Sequence[str]) -> Question:
-    """Return the question of a model.
+    """Return the specification of an experiment for a model.
 
     Args:
         against: Names of the rivals; by default all candidates that are hard to separate from the model's effects.
@@ -451,7 +452,7 @@ def _groups(model: Model, candidates: Mapping[str, Candidate]) -> list[set[str]]
 def _rivals(
     subject: ModelSubject, candidates: Mapping[str, Candidate], names: Sequence[str], groups: Sequence[set[str]]
 ) -> tuple[tuple[Rival, ...], tuple[Pair, ...]]:
-    """Return rivals of typical size and their pairs.
+    """Return rivals of typical size, and the pairs of rivals to separate.
 
     A single named candidate is compared with the model without it. Without names, the groups supply the pairs.
     """

@@ -1,6 +1,7 @@
-"""Experiment rigs: they apply signals on a few axes to a model and simulate its response.
+"""Experiment rigs, which apply random signals to a model and simulate the response.
 
-Any model can be used in open loop; an unstable model registers its own rig (`cosim.core.registry`).
+The open-loop rig suits any stable model; for an unstable model, a rig with a controller is registered
+(`cosim.core.registry`).
 """
 
 from __future__ import annotations
@@ -61,7 +62,7 @@ class Trial:
         return Log(Path("trial.csv"), self.time, self.inputs, outputs, units, model.rate, units, {})
 
     def excess(self, limits: Mapping[str, float]) -> float:
-        """Return the largest excursion relative to its limit, infinite after divergence."""
+        """Return the largest excursion relative to its limit; infinite if the model diverges."""
         if not all(np.isfinite(values).all() for values in self.outputs.values()):
             return math.inf
         outputs = self.outputs
@@ -70,7 +71,7 @@ class Trial:
 
 
 class OpenLoop:
-    """Open-loop rig for any model: each input gets a signal around its start value. Other rigs derive from this class.
+    """Open-loop rig: each input gets a signal around its start value. Other rigs derive from this class.
 
     A rig simulates an experiment within input ranges and writes its scenario.
 
@@ -109,7 +110,7 @@ class OpenLoop:
         """Write the files listed in `files`."""
 
     def components(self) -> Iterator[str]:
-        """Return the scenario lines of further components, besides `plant` and `excitation`."""
+        """Yield the scenario lines of components other than `plant` and `excitation`."""
         return iter(())
 
     def connections(self, model: Model, trial: Trial, variance: Mapping[str, float]) -> Iterator[str]:
@@ -124,7 +125,7 @@ class OpenLoop:
 
 
 class FmuOpenLoop(OpenLoop):
-    """Open-loop rig that simulates an FMU's library with the terms of a hypothesis.
+    """Open-loop rig that simulates an FMU with the added terms of a hypothesis.
 
     Args:
         first: Output → reading at the start.
@@ -208,7 +209,8 @@ def limits_and_ranges(
 ) -> tuple[dict[str, float], dict[str, tuple[float, float]]]:
     """Return the largest allowed excursion of each limited signal, and the range of each input; extend `faults`.
 
-    A range is the declared range, narrowed by NAME=MIN..MAX, or for an input without range and limit the range in logs.
+    A range is the declared range, narrowed by NAME=MIN..MAX. For an input without range and limit, it is the range in
+    logs.
     """
     spans = {q.name: q.bounds for q in model.inputs}
     units = {q.name: q.unit for q in (*model.outputs, *model.inputs)}

@@ -32,10 +32,10 @@ class Linear:
     """Linear model d(x − x₀)/dt = A·(x − x₀) + B·(u − u₀) + f₀, y − y₀ = C·(x − x₀) + D·(u − u₀).
 
     Attributes:
-        rates: f₀, zero at an equilibrium.
-        values: y₀.
+        rates: Derivatives f₀ at the point; zero at an equilibrium.
+        values: Outputs y₀ at the point.
         units: Units of states, inputs and outputs by name; "" if unknown.
-        method: Origin of the derivatives.
+        method: How the derivatives were computed.
         notes: Remarks on the derivatives.
     """
 
@@ -55,7 +55,7 @@ class Linear:
 
     @property
     def at_rest(self) -> bool:
-        """Return True at an equilibrium. The poles determine stability only at an equilibrium."""
+        """Return True if the point is an equilibrium; only then do the poles determine stability."""
         return float(np.abs(self.rates).max(initial=0.0)) < MAX_RATE_AT_REST
 
     def ss(self) -> Any:

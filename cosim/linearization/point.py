@@ -42,7 +42,7 @@ def read_at(texts: Sequence[str]) -> tuple[Mapping[str, str], Path | None, Array
         Values by name, which override those of the scenario; the scenario, if any; its times [s].
 
     Raises:
-        InputError: Every invalid text.
+        InputError: Texts are invalid; the error names all of them.
     """
     values: dict[str, str] = {}
     moments: list[tuple[Path, Array]] = []
@@ -93,7 +93,7 @@ def move(source: Source, point: Point, values: Mapping[str, str]) -> Point:
     """Return the point with the states and inputs set by `--at`.
 
     Raises:
-        InputError: Every unknown name and unsuitable value.
+        InputError: Names are unknown or values invalid; the error names all of them.
     """
     states, inputs, faults = point.states.copy(), point.inputs.copy(), []
     lists = "; ".join(f"{group}: {', '.join(getattr(source, group)) or 'none'}" for group in ("states", "inputs"))
@@ -119,8 +119,8 @@ def points_along(
 ) -> tuple[Source, list[Point], list[str]]:
     """Return the source with a scenario's parameters, a point for each time of its run, and notes.
 
-    The model takes the place of a component of the scenario. Equations are driven by its recorded inputs; an FMU is
-    simulated.
+    The model replaces a component of the scenario. A model with equations is simulated with the recorded inputs of this
+    component; an FMU is simulated in the scenario.
 
     Args:
         component: Name in the scenario if several components have the model's inputs and outputs.
@@ -128,7 +128,7 @@ def points_along(
     """
     if not scenario.is_file():
         raise InputError.at(scenario, "no such scenario; check its path")
-    if not is_ssp(scenario):  # before the scenario is run
+    if not is_ssp(scenario):  # checked before the scenario is run
         content = ScenarioFile(scenario).scenario
         _check_times(scenario, times, content.start_time, content.start_time + content.duration)
         if component and component not in content.components:

@@ -26,7 +26,7 @@ MIN_RESPONSE = 1e-12  # smallest drawn response, relative to the largest
 
 
 def page(outcome: Outcome) -> str:
-    """Return a self-contained page of the first linearization."""
+    """Return the self-contained HTML page of the first linearization."""
     linear, structure, charts = outcome.first, outcome.structure, Charts()
     times = np.array([m.point.time for m in outcome.linear])
     description = f"{outcome.title}, linearised at t = {plain(linear.point.time)} s: {linear.method}."
@@ -100,7 +100,7 @@ def pole_map(every: Sequence[Pole], charts: Charts) -> Plot:
 
 
 def frequencies(linear: Linear) -> Array:
-    """Return frequencies around the poles [rad/s], 0.01 … 100 without poles."""
+    """Return frequencies [rad/s] that span the poles; 0.01 … 100 without poles."""
     sizes = np.abs(poles(linear.A))
     nonzero = sizes[sizes > 1e-6 * sizes.max(initial=0.0)]
     low, high = (nonzero.min() / DECADE, nonzero.max() * DECADE) if nonzero.size else (0.01, 100.0)

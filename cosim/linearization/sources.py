@@ -134,7 +134,7 @@ class ExchangeSource:
         self._directional = step is None and block.gives_slopes
 
     def with_values(self, values: Mapping[str, Any], over: Sequence[str]) -> ExchangeSource:
-        """Return the source with the start values of a scenario's component; values set by the user override them."""
+        """Return the source with start values of a scenario's component; values set by the user take precedence."""
         names = {v.name for v in self._description.modelVariables}
         texts = [f"{n}={v if isinstance(v, str) else json.dumps(v)}" for n, v in values.items() if n in names]
         start = start_values(self._path, texts, lambda name, message: Fault(self._path, 0, 0, message))
@@ -146,7 +146,7 @@ class ExchangeSource:
         return Point(0.0, *self._call(read, "current_point"))
 
     def linear(self, points: Sequence[Point]) -> list[Linear]:
-        """Return the linear model at each point; raise SimulationError without finite derivatives."""
+        """Return the linear model at each point; raise SimulationError if derivatives are not finite."""
         results = self._call(differentiate, list(points), self._step or DIFFERENCE_STEP, self._directional)
         return [linear_model(self, *result) for result in results]
 
@@ -177,7 +177,7 @@ def linear_model(
 
 
 def read(path: Path, description: Any, start: Mapping[str, Any], method: str) -> Any:
-    """Return the result of a method of the FMU after its initialization."""
+    """Initialize the FMU, and return the result of one of its methods."""
     with closing(_open(path, description, start)) as block:
         return getattr(block, method)()
 
@@ -283,7 +283,7 @@ def with_parameters(model: Model, texts: Sequence[str]) -> Model:
     """Return the model with parameters from `--set NAME=VALUE`.
 
     Raises:
-        InputError: Every fault.
+        InputError: Texts have faults; the error names all of them.
     """
     faults, values = [], dict[str, Any]()
     for text in texts:

@@ -72,7 +72,7 @@ def linearize(
         The linear models, their structure and notes.
 
     Raises:
-        InputError: Every fault of the input.
+        InputError: The input is wrong; the error names all faults.
         FmuError: An FMU cannot be read or loaded.
         SimulationError: The simulation failed.
     """

@@ -55,7 +55,7 @@ POLE_COLUMNS = (
 
 @dataclass(frozen=True)
 class Outcome:
-    """Linear models for one or more times, and the structure of the first."""
+    """Linear models at one or more times, and poles and ranks of the first model."""
 
     name: str
     title: str
@@ -129,7 +129,7 @@ def mat(linear: Sequence[Linear]) -> bytes:
 
 
 def number(value: float) -> str:
-    """Return at most five significant digits."""
+    """Return a number as text with at most five significant digits."""
     return f"{value + 0.0:.5g}".replace("-", "\u2212") if math.isfinite(value) else MISSING
 
 

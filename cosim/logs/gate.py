@@ -1,4 +1,4 @@
-"""Checks of a log before use: clock, channels, units, frame and excitation."""
+"""Checks of a log before it is used: clock, channels, units, axes and excitation."""
 
 from __future__ import annotations
 
@@ -46,9 +46,9 @@ def gate(
 
     Args:
         rate: Step of the model [s], None if not declared.
-        traits: Signal properties of the model, None without a model.
-        spikes: Outliers confirmed by a model; default: search without a model.
-        starts: Start values of inputs in the model, which show the size of each; None to skip this comparison.
+        traits: Signal properties of the model; None without a model.
+        spikes: Outliers that were found with a model; by default they are searched without a model.
+        starts: Start values of inputs in the model, which indicate their sizes; None to omit this comparison.
     """
     clock = [*_timing(log), *([] if rate is None else _rate(log, rate))]
     channels = [*_inputs(log), *_outputs(log), *outliers(log, find_spikes(log) if spikes is None else spikes)]
@@ -73,13 +73,13 @@ def gate(
 
 
 def refuse_faults(log: Log, findings: Sequence[Finding]) -> None:
-    """Raise InputError if a finding makes the log unusable."""
+    """Raise InputError with all findings that make the log unusable, if there are any."""
     if faults := gate_faults(log, findings):
         raise InputError(faults)
 
 
 def gate_faults(log: Log, findings: Sequence[Finding]) -> list[Fault]:
-    """Return the fatal findings as faults of the file."""
+    """Return the findings that make the log unusable, as faults of the file."""
     faults = []
     for f in findings:
         if f.severity == "fault":
@@ -247,7 +247,7 @@ def outliers(log: Log, spikes: Spikes) -> Iterator[Finding]:
 
 
 def frame_findings(log: Log, traits: Traits | None = None) -> Iterator[Finding]:
-    """Yield findings on degrees, jumps of a turn, wrong rates and mirrored frames.
+    """Yield findings on angles in degrees, jumps by a turn, wrong rates and mirrored axes.
 
     Args:
         traits: Signal properties of the model; without a model, rates are guessed from names and give only warnings.
@@ -352,7 +352,7 @@ def _against_rate(log: Log, name: str, rate: str, *, declared: bool) -> Iterator
 
 
 def _jump_findings(log: Log, name: str, rate: str, moves: tuple[Array, Array], miss: Array) -> Iterator[Finding]:
-    """Yield a warning for a single block in which a signal changes and its rate does not.
+    """Yield a warning if, in a single block, a signal changes but the integral of its rate does not.
 
     Args:
         moves: Changes of the signal and integrals of its rate, by block.

@@ -22,7 +22,7 @@ from cosim.files.table import Column, Faults, Table, Use, read_table
 from cosim.files.yaml_file import short
 from cosim.model.quantities import Quantity
 
-FAST, USUAL = 0.001, 0.05  # [s] row spacings from and up to which fixed times apply; see `slowness`
+FAST, USUAL = 0.001, 0.05  # [s] row spacings between which checks use fixed times; see `slowness`
 GAP = 0.5  # [s] without a row; shorter holes are dropouts
 MIN_PAUSE_ROWS = 10  # least number of rows lost in a pause
 USUALLY = 3.0  # multiple of the usual measurement spacing beyond which a pause begins
@@ -46,21 +46,21 @@ Severity = Literal["note", "warning", "fault"]
 class Log:
     """Commands and measurements in the units of the model.
 
-    Row k holds the measurements at `time[k]` and the command until `time[k + 1]`.
+    Row k contains the measurements at `time[k]` and the command until `time[k + 1]`.
 
     Attributes:
         time: Increasing times [s], shape (rows,).
-        inputs: Name → (rows,), complete.
-        outputs: Name → (rows,), NaN without a measurement.
-        units: Name → unit of the model, else the header's unit in SI.
+        inputs: Name → values, shape (rows,), none missing.
+        outputs: Name → values, shape (rows,), NaN without a measurement.
+        units: Name → unit of the values: the model's unit, or else the SI unit for the header's unit.
         written: Name → unit in the header, "" without one.
-        undeclared: Signal without a unit in the model, but with one in the header → message.
-        assumed: Assumptions made when the file was read, as sentences.
+        undeclared: Signal with a unit in the header but not in the model → message.
+        assumed: Sentences on the assumptions made when the file was read.
         step: Typical time between rows [s], see `usual_step`.
-        unwrapped: Angle → times of removed jumps by a turn [s].
+        unwrapped: Angle → times [s] at which jumps by a turn were removed.
         header: Line of the column names in the file.
         called: Name in the file → name in the model, if they differ.
-        unread: Column unknown to the model → suggestion, or "".
+        unread: Column that is not a signal of the model → suggested name, or "".
     """
 
     path: Path
@@ -85,12 +85,12 @@ class Log:
 
     @property
     def slowness(self) -> float:
-        """Return the factor on the durations of checks for a long step; see `slowness`."""
+        """Return the factor on the durations that checks use; see the function `slowness`."""
         return slowness(self.step)
 
     @property
     def pause(self) -> float:
-        """Return the duration [s] above which missing rows count as a pause, with unknown inputs and state."""
+        """Return the duration [s] above which missing rows are a pause, after which inputs and state are unknown."""
         return max(GAP, MIN_PAUSE_ROWS * self.step)
 
     @cached_property
@@ -111,9 +111,9 @@ class Finding:
 
     Attributes:
         severity: A fault makes the log unusable; a warning or a note does not.
-        kind: One word for programs.
+        kind: Kind of finding, one word, for programs.
         channel: "time", a column, or "" for the whole log.
-        numbers: Values in the sentence.
+        numbers: Name → number in the sentence.
     """
 
     severity: Severity
@@ -129,7 +129,7 @@ class Finding:
 
     @property
     def line(self) -> str:
-        """Return the sentence with channel and severity, a line of the command line output."""
+        """Return the sentence with channel and severity, as a line of output."""
         return f"{self.severity}: {self.whole}"
 
 
@@ -158,7 +158,7 @@ def read_log(
         declare: For a log without a model: function that returns the unit of a column, or None to ignore the column.
 
     Raises:
-        InputError: Every fault of the file.
+        InputError: The file has faults; the error names all of them.
     """
     units = {s.name: s.unit for s in (*inputs, *outputs)}  # units of the values after reading
     into = [s.name for s in inputs]
@@ -273,10 +273,10 @@ def read_log(
 
 
 def _check_values(table: Table, faults: Faults, complete: Container[str]) -> None:
-    """Record faults of whole columns: too few rows, no measurement, absurd values.
+    """Record faults of whole columns: too few rows, no measurements, impossible values.
 
     Args:
-        complete: Columns that need a value in every row.
+        complete: Columns that must have a value in every row.
     """
     if table.rows < 2 and not faults.faulty:
         count = "no row" if table.rows == 0 else "one row"
@@ -334,11 +334,9 @@ def name_list(names: Collection[str]) -> str:
 def usual_step(time: Array) -> float:
     """Return the typical row spacing [s]: the slope of a line through the times, with whole steps over gaps.
 
-    A median of differences is too inaccurate with jittering time stamps: an error of a thousandth adds up to whole
-    rows
-    at the end of a log. If slope and median differ, the clock is irregular. The result is then a low percentile of
-    the
-    differences, and longer differences count as gaps.
+    With jittering time stamps, the median of differences is too inaccurate: an error of a thousandth adds up to whole
+    rows at the end of a log. If slope and median differ, the clock is irregular. The result is then a low percentile of
+    the differences, and longer differences are gaps.
     """
     apart = np.diff(time)
     median = float(np.median(apart))
@@ -370,7 +368,7 @@ def first_rows(log: Log, count: int) -> Log:
 
 
 def _cut(log: Log, rows: slice) -> Log:
-    """Return some rows of a log, with the outputs measured there."""
+    """Return some rows of a log, with the outputs measured in them."""
     outputs = {name: values[rows] for name, values in log.outputs.items() if not np.isnan(values[rows]).all()}
     inputs = {name: values[rows] for name, values in log.inputs.items()}
     return replace(log, time=log.time[rows], inputs=inputs, outputs=outputs)
@@ -379,8 +377,9 @@ def _cut(log: Log, rows: slice) -> Log:
 def stretches(log: Log) -> list[Log]:
     """Return the parts of a log between pauses.
 
-    In a pause, rows are missing (unknown inputs and state), or measurements are missing (unknown state). Missing
-    measurements are a pause only if the gap is longer than their typical spacing, so a slow sensor makes no pauses.
+    In a pause, rows are missing (inputs and state are unknown) or measurements are missing (the state is unknown).
+    Missing measurements are a pause only if the gap exceeds their typical spacing, so that a slow sensor does not cause
+    pauses.
     """
     pieces: list[tuple[int, int]] = []
     for first, end in pairwise([0, *(np.flatnonzero(np.diff(log.time) > log.pause) + 1).tolist(), log.rows]):
@@ -423,7 +422,7 @@ def fill_holes(log: Log) -> Log:
 
 
 def noise_level(values: Array) -> float:
-    """Return the white-noise level of a smooth signal, by a robust estimate; NaN for fewer than 5 values.
+    """Return a robust estimate of the white-noise standard deviation of a smooth signal; NaN below 5 values.
 
     The signal's fourth derivative times h⁴/6 counts as noise.
     """
@@ -431,12 +430,12 @@ def noise_level(values: Array) -> float:
 
 
 def least_noise_level(values: Array, model: Array) -> float:
-    """Return the noise level of a signal, excluding motion that the model's output explains."""
+    """Return the noise level of a signal without the motion that the model's output explains."""
     return float(np.fmin(noise_level(values), noise_level(values - model)))
 
 
 def white_noise(deviations: Array) -> float:
-    """Return the standard deviation of white noise, estimated by the median of deviations; NaN without any."""
+    """Return the standard deviation of white noise, estimated by the median of deviations; NaN without values."""
     deviations = deviations[np.isfinite(deviations)]
     return float(1.4826 * np.median(np.abs(deviations))) if deviations.size else math.nan
 
@@ -445,7 +444,7 @@ def surprise(values: Array) -> Array:
     """Return each reading's deviation from its four neighbours, scaled to the noise level; NaN if unknown.
 
     The cubic through two neighbours on each side predicts y_k, for equal rows as (−1, 4, 4, −1)/6; white noise σ gives
-    a difference of σ·√(1 + Σ w²). Neighbours of a slow sensor are its own samples, but not across a gap.
+    a difference of σ·√(1 + Σ w²). For a slow sensor, neighbours are its own samples, but not across a gap.
     """
     deviations = np.full(values.size, np.nan)
     rows = np.flatnonzero(np.isfinite(values))

@@ -29,8 +29,8 @@ PREDICTED_ROWS = 1000  # first rows of a log in which the model's outputs are pr
 def check_log(path: Path, checking: Checking) -> list[str]:
     """Return the findings on a log.
 
-    The log is compared with the model of `checking`. Without one, it is compared with the registered model `base` if it
-    has a column of one of its inputs, and is otherwise checked alone.
+    The log is compared with the model of `checking`. Without a model, a log with a column for an input of the
+    registered model `base` is compared with `base`; any other log is checked alone.
     """
     if checking.model is None and not is_model(BASE):
         return _findings_without_model(path, checking.columns)
@@ -68,7 +68,7 @@ def _findings_without_model(path: Path, columns: Mapping[str, str]) -> list[str]
     Raises:
         InputError: The log has faults.
     """
-    unknown, text = dict[str, str](), list[str]()  # column → unit unknown to the framework; columns of text
+    unknown, text = dict[str, str](), list[str]()  # column → unit that cosim does not know; columns of text
 
     def declare(column: Column, faults: Faults) -> str | None:
         """Return the unit of a numeric column, in SI if the header has a unit; None for text."""

@@ -1,4 +1,4 @@
-"""Comparison of a log with the model, to find wrong clocks, units, signs and columns."""
+"""Comparison of a log with predictions of the model, to find wrong clocks, units, signs and columns."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ SAME_SIZE = (0.7, 1.4)  # ratio to the model within which a size is the same
 MIN_SHARE_OF_BOUND = 0.02  # least size relative to its bound in the right unit
 SLOW_CHANGE_S = 1.0  # [s] slower changes also come from drift and the unknown start
 LONGEST_DELAY = 0.5  # [s]
-LIKE = 0.85  # correlation of a signal with its model beyond chance
+LIKE = 0.85  # correlation of a signal with its model output that is not by chance
 TELLING = 0.6  # least correlation with the model for a delay estimate
 MAX_SLOPE_ERROR = 0.1  # standard error of a slope relative to the slope
 BLOCKS, MIN_BLOCK = 20, 10  # blocks of rows for the standard error, and rows of a block
-MIN_SIGNAL = 3.0  # multiple of its noise from which the size of a signal is judged
+MIN_SIGNAL = 3.0  # multiple of its noise above which the size of a signal is meaningful
 REGULAR = "or, because the motion is nearly periodic, a wrong friction or inertia"
 INDEPENDENT_FREQUENCY_RATIO = 1.15  # ratio of mean frequencies from which fast changes are independent evidence
 
-DIRECTIONS = {  # likely causes of a delay: of a positive one, of a negative one
+DIRECTIONS = {  # likely causes of a positive delay, and of a negative delay
     True: ("trails", "a delay or a slower actuator"),
     False: ("leads", "a faster actuator or a command logged late"),
 }
@@ -38,7 +38,7 @@ def input_unit_findings(log: Log, starts: NamedValues, bounds: Mapping[str, tupl
 
     Args:
         starts: Start value of each input in the model.
-        bounds: Limits declared by the model; a value beyond them is a fault.
+        bounds: Limits declared by the model; a size beyond them is a fault.
     """
     for name, values in log.inputs.items():
         size, start = float(np.abs(values).max()), abs(starts.get(name, 0.0))
@@ -67,12 +67,12 @@ def other_unit(name: str, unit: str, ratio: float, around: tuple[float, float] =
 
 
 def output_findings(log: Log, model: NamedArrays) -> list[Finding]:
-    """Return findings on outputs that are late, in another unit, sign-reversed or swapped relative to the model."""
+    """Return findings on outputs that, compared with the model, are late, in another unit, reversed or swapped."""
     return [*scales(log, model), *swaps(log, model), *delays(log, model)]
 
 
 def delays(log: Log, model: NamedArrays) -> Iterator[Finding]:
-    """Yield findings on channels with a delay of at least half a row; slow channels are too uncertain."""
+    """Yield findings on channels with a delay of at least half a row; delays of slow channels are too uncertain."""
     estimates = {n: d for n, y in log.outputs.items() if n in model and (d := delay(log, y, model[n])) is not None}
     fastest = max((d.frequency for d in estimates.values()), default=0.0)
     for name, (time, error, frequency) in estimates.items():
@@ -130,7 +130,7 @@ def scales(log: Log, model: NamedArrays) -> Iterator[Finding]:
 
 
 def swaps(log: Log, model: NamedArrays) -> Iterator[Finding]:
-    """Yield findings on pairs of outputs that follow each other's prediction better than their own, at any delay."""
+    """Yield findings on pairs of outputs that fit each other's prediction better than their own, at any delay."""
     names = [name for name in log.outputs if name in model]
     for one, other in combinations(names, 2):
         least = 1.0  # correlation of either with the prediction of the other, of the same size as in the other's unit
@@ -171,7 +171,7 @@ class SlopeFit(NamedTuple):
 
     @property
     def is_certain(self) -> bool:
-        """Return True for a small standard error."""
+        """Return True if the standard error is small relative to the slope."""
         return self.error < MAX_SLOPE_ERROR * abs(self.slope)
 
 
@@ -203,7 +203,7 @@ class MeasuredDelay(NamedTuple):
 
 
 def delay(log: Log, measured: Array, model: Array) -> MeasuredDelay | None:
-    """Return the delay of a measured signal relative to the model, or None for dissimilar signals.
+    """Return the delay of a measured signal relative to the model, or None if the signals are not similar.
 
     Slow parts are removed, so that drift has no influence. A parabola refines the peak of the cross-correlation.
     """

@@ -1,8 +1,8 @@
 """Outliers of the recorder: single readings that neither their neighbours nor the model explain.
 
-`check`, `replay` and `refine` share one rule. A reading is suspect if its neighbours agree with each other and the
-reading is far from them. A suspect is accepted as real if the model changes as sharply, for example with an inrush
-current. Without a model, a suspect is accepted directly after a jump of an input.
+`check`, `replay` and `refine` use the same rule. A reading is suspect if its neighbours agree with each other and the
+reading is far from them. A suspect reading is kept if the model changes as sharply, for example with an inrush current.
+Without a model, a suspect reading is kept directly after a jump of an input.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ RESPONSE_S = 0.1  # [s] after the jump, and 5 rows, for the response
 DEVIATION_SCALE = (70 / 36) ** 0.5  # deviation from four equal neighbours relative to the noise
 WILD = 12.0  # multiple of the noise from which a reading is suspect
 MOST, ADJACENT = 3, 2  # outliers in a group, and in sequence; more are motion
-REACH, SIDE = 12, 3  # readings that a group may affect; reference readings on each side
-ASTRAY = 0.4  # share of WILD for members of a group: two in a row partly hide each other
-UNCERTAINTY, LATENESS = 2.0, 2  # uncertainty of a sharp prediction: factor of size, and rows of time
+REACH, SIDE = 12, 3  # readings that a group may affect; readings on each side for comparison
+ASTRAY = 0.4  # share of WILD that suffices for members of a group, since two in a row partly hide each other
+UNCERTAINTY, LATENESS = 2.0, 2  # uncertainty of a sharp prediction: factor of its size, and rows of its time
 
 Spikes = Mapping[str, Rows]
 Prediction = Callable[[Spikes], NamedArrays]  # model outputs by name, computed without suspect readings
@@ -32,7 +32,7 @@ def find_spikes(log: Log, predict: Prediction | None = None) -> dict[str, Rows]:
     """Return the outlier rows of each channel.
 
     Args:
-        predict: Model outputs in the rows of the log; called only for suspect readings.
+        predict: Function that returns model outputs in the rows of the log; called only if readings are suspect.
     """
     suspects = {name: rows for name, values in log.outputs.items() if (rows := _suspects(values)).size}
     if not suspects:
@@ -82,7 +82,8 @@ def out_of_line(log: Log, values: Array) -> Array:
 def _suspects(values: Array) -> Rows:
     """Return the rows of outliers, alone or in groups.
 
-    In a stretch of deviating readings, the outliers deviate from the cubic through three readings on each side.
+    Among consecutive deviating readings, outliers are those that deviate from the cubic through three readings on each
+    side.
     """
     rows, limit = np.flatnonzero(np.isfinite(values)), WILD * DEVIATION_SCALE * noise_level(values)
     if not limit > 0.0:

@@ -1,4 +1,4 @@
-"""Kinds of files of this room."""
+"""Kinds of files that the package `cosim.pages` declares."""
 
 from __future__ import annotations
 

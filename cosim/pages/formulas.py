@@ -43,7 +43,7 @@ def integral(time: Array, values: Array) -> Array:
 def lowpass(time: Array, values: Array, constant: float) -> Array:
     """Return the output of 1/(constant·s + 1), starting at the first value.
 
-    Each value is constant until the next row, and the steps are exact for any row spacing.
+    Each value holds until the next row; the result is exact for any spacing of the rows.
     """
     steps = np.diff(time)
     gains = -np.expm1(-steps / constant) if constant > 0.0 else np.ones_like(steps)

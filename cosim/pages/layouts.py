@@ -93,10 +93,10 @@ def check_layouts(file: Path, content: Any) -> dict[str, Any]:
 
 
 class Layouts:
-    """Layouts in a file, which is read at the start and written as a whole.
+    """Layouts in a file, which is checked at the start and rewritten whole at each change.
 
     Raises:
-        InputError: The file exists and has no layouts.
+        InputError: The file exists, but is not a valid file of layouts.
     """
 
     def __init__(self, file: Path) -> None:

@@ -51,10 +51,10 @@ class Picture:
     of their times. One row beyond each end is included.
 
     Attributes:
-        blocks, rows: Numbers of blocks, and of rows outside of these blocks.
+        blocks, rows: Indices of the blocks, and of the rows outside these blocks.
         time: Times of the points [s].
         order: Order of the blocks and rows by time.
-        starts: First block or row of each point; None if the points are rows.
+        starts: Index in `order` of the first block or row of each point; None if each point is one row.
     """
 
     recording: Recording
@@ -75,13 +75,14 @@ class Picture:
 
 
 class Recording:
-    """Time and signals of a run; it may grow, and is safe for several threads.
+    """Time and signals of a run; it may grow, and several threads may use it.
 
     Attributes:
         units: Signal → unit, "" without unit, in the order of the file.
         rows: Number of rows.
         added: Units of computed signals.
-        texts: Signals that doubles cannot represent, with all values as text; integers also have a numeric column.
+        texts: Signals that doubles cannot represent, with all values as text; large integers also have a numeric
+            column.
         rounded: Signals with integers that are drawn as doubles and kept exactly as text.
         inexact: Signals with integers that are read as doubles and lose their last digits.
         assumed: Assumptions made when the table was read, as sentences.
@@ -200,7 +201,7 @@ def open_rows(path: Path, **about: Any) -> Recording:
     """Return the rows of a table; convert a large one first, unless it is converted already.
 
     Args:
-        about: Known properties of its columns for `read_results`.
+        about: What is known about its columns, as arguments of `read_results`.
 
     Raises:
         InputError: The table has faults, or no rows.

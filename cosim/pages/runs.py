@@ -39,7 +39,7 @@ NO_COLUMNS: Mapping[str, str] = MappingProxyType({})
 
 @dataclass(frozen=True)
 class RunPlace:
-    """A table of rows and its names.
+    """A table of rows that the page can show, with its names.
 
     Attributes:
         name: Name in layouts, the same for later runs of the same series.
@@ -47,7 +47,7 @@ class RunPlace:
         is_named: True if the user named this table, so that its faults are errors.
         entry: Results in a folder of results; None for other paths.
         columns: Column of the table → name of its signal, or `time`, of columns with another name.
-        rows: Rows in memory, of a run of a sweep, whose table has no time.
+        rows: Rows in memory, for a run of a sweep, because the table of a sweep has no column of time.
         display: Unit → name of its display unit, factor and offset to its values, of these rows.
     """
 
@@ -171,7 +171,7 @@ def file_state(file: Path) -> tuple[int, int]:
 def find_runs(
     texts: Sequence[str], results: Path, columns: Mapping[str, str] = NO_COLUMNS
 ) -> tuple[list[RunPlace], list[str]]:
-    """Return the tables of numbers, names, patterns, folders and files, by default of the newest results; and notes.
+    """Return the tables that the texts select, by default those of the newest results, and notes.
 
     Args:
         columns: Column → name of its signal, or `time`, for columns of files to rename.
@@ -254,7 +254,7 @@ def open_runs(
     """Open tables, and convert large ones; return the runs, and warnings about runs that are left out.
 
     Args:
-        progress: Function of what is being read, and of the share of tables before it.
+        progress: Function of (name of the table being read, share of the tables already read).
 
     Raises:
         InputError: A named table has faults, or no table can be opened.

@@ -90,7 +90,7 @@ def html_response(page: str, *, alone: bool = False) -> Response:
 
 
 class Part(Protocol):
-    """A part of a page with routes and a state of its own."""
+    """A part of a page that has its own routes and its own state."""
 
     def routes(self) -> Mapping[str, Handler]:
         """Return method and path, e.g. `GET /rows` → handler."""
@@ -100,9 +100,9 @@ class Part(Protocol):
 
 
 class ServedPage:
-    """A page whose state is sent to the browser at each change; a context manager that listens from its creation.
+    """A served page; each change of its state is sent to the browser. A context manager, served from its creation.
 
-    Subclasses add routes and parts of the state. State is read and written in any thread.
+    Subclasses add routes and parts of the state. Any thread may read and write the state.
 
     Args:
         page: HTML of the page.
@@ -111,7 +111,7 @@ class ServedPage:
         state: Initial state.
 
     Attributes:
-        streams: Number of open pages.
+        streams: Number of browser pages that are open.
         opened: True if a page has ever been open.
 
     Raises:
@@ -155,7 +155,7 @@ class ServedPage:
         return f"{self.origin}/{self.token}/"
 
     def routes(self) -> Mapping[str, Handler]:
-        """Return further routes: method and path, e.g. `GET /rows` → handler."""
+        """Return the routes of a subclass: method and path, e.g. `GET /rows` → handler."""
         return {} if self._part is None else self._part.routes()
 
     def __enter__(self) -> Self:
@@ -201,7 +201,7 @@ class ServedPage:
             self.streams -= 1
 
     def wait_for_close(self, say: Callable[[str], None], first: float = FIRST_PAGE, reload: float = RELOAD) -> None:
-        """Serve until the last page is closed, or until a stop.
+        """Serve until the user closes the last page, or none opens in time.
 
         Args:
             first: Longest time until the first page [s].

@@ -62,7 +62,7 @@ M = TypeVar("M", bound=BaseModel)
 
 
 class Viewer:
-    """State and requests of a page with runs; only rows needed by the page are read.
+    """The state of a page with runs, and answers to its requests; only rows that the page needs are read.
 
     Args:
         notes: Texts shown at the beginning.
@@ -236,7 +236,7 @@ class Viewer:
             at, unit = run.rows.read(TIME_COLUMN, *span), run.rows.unit(name)
             heads.append(f"{f'{run.place.label}: ' * several}{name}{f' [{unit}]' * bool(unit)}")
             columns.append(run.rows.exact(name, *span))
-            # time, and the number among rows of the same time, all of which are kept
+            # the time, and the number of the row among those of the same time, because all of them are kept
             places.append(np.column_stack((at, np.arange(at.size) - np.searchsorted(at, at))))
 
         def joined_rows() -> Iterator[list[Any]]:

@@ -62,7 +62,7 @@ class WorkPage(ServedPage):
         super().__init__(html, port, part, phase="starting", title=title, message="", report=False)
 
     def routes(self) -> Mapping[str, Handler]:
-        """Return further routes."""
+        """Return the routes of the page."""
         return {**super().routes(), "POST /stop": self._stop, "GET /report.html": self._show_report}
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, *_: object) -> None:
@@ -98,7 +98,7 @@ class WorkPage(ServedPage):
         return {**super().state(), "elapsed": elapsed, "report": is_there}
 
     def check_running(self) -> None:
-        """Raise InputError after the end of the work."""
+        """Raise InputError if the work has ended."""
         if self.has_ended:
             raise InputError.at(Path(self.activity), f"the {self.activity} has ended; changes are no longer possible")
 
@@ -150,7 +150,7 @@ class LiveRun(WorkPage, Observer):
         self.update(phase="starting", total=run.rows, start=run.start, step=run.step, made=id(run))
 
     def rows(self, time: Array, values: Array) -> None:
-        """Store new rows."""
+        """Store new rows for the page."""
         if not self._rows.rows:
             self._rate = monotonic(), float(time[0])
             self.update(phase="running")
@@ -168,7 +168,7 @@ class LiveRun(WorkPage, Observer):
     # -- state -----------------------------------------------------------------------------------
 
     def state(self) -> dict[str, Any]:
-        """Return the whole state."""
+        """Return the complete state as JSON data."""
         state, run, control = super().state(), self._run, self._control
         rows, now = self._rows.rows, self._rows.span()[1] if self._rows.rows else run.start
         since, first = self._rate
@@ -192,7 +192,7 @@ class LiveRun(WorkPage, Observer):
     # -- requests ---------------------------------------------------------------------------------
 
     def routes(self) -> Mapping[str, Handler]:
-        """Return further routes."""
+        """Return the routes of the page."""
         own = {"GET /variables": self._variables, "POST /set": self._set, "POST /pause": self._pause}
         return {**super().routes(), **own}
 
@@ -214,14 +214,14 @@ class LiveRun(WorkPage, Observer):
         return Json(variables)
 
     def _controlled(self) -> Control:
-        """Return the control of the run; raise InputError before its start and after its end."""
+        """Return the object that controls the run; raise InputError if the run has not begun or has ended."""
         self.check_running()
         if self._control is None or self._state["phase"] == "writing":
             raise InputError.at(Path(self.activity), "the run has not started or has ended; changes are not possible")
         return self._control
 
     def _set(self, request: Request, values: Any) -> Response:
-        """Change variables."""
+        """Change the variables to the values that the page sends."""
         if not isinstance(values, dict) or not all(isinstance(v, (str, int, float, bool)) for v in values.values()):
             raise InputError.at(Path("set"), "give variables with numbers, text, true or false")
         control = self._controlled()
@@ -231,7 +231,7 @@ class LiveRun(WorkPage, Observer):
         return Json({"set": set_values})
 
     def _pause(self, request: Request, is_pause: Any) -> Response:
-        """Pause or continue."""
+        """Pause or continue the run."""
         if not isinstance(is_pause, bool):
             raise InputError.at(Path("pause"), "give true or false")
         self._controlled().paused = is_pause
@@ -274,7 +274,7 @@ class LiveSweep(WorkPage, RunsObserver):
         self.update()
 
     def state(self) -> dict[str, Any]:
-        """Return the whole state."""
+        """Return the complete state as JSON data."""
         with self._lock:
             runs = [*self._runs]
         complete = [run for run in runs if run[0] == "ok"]
@@ -346,7 +346,7 @@ class LiveRefine(WorkPage, Watcher):
         self.update(message=str(record["sentence"]))
 
     def state(self) -> dict[str, Any]:
-        """Return the whole state."""
+        """Return the complete state as JSON data."""
         state = super().state()
         with self._lock:
             times = [*self._times, self._begin + state["elapsed"]]

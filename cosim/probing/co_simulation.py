@@ -49,7 +49,7 @@ def co_simulation_structure(prober: Prober, courses: Sequence[Course]) -> Struct
     fmu = prober.fmu
     _, inputs, outputs = fmu.names
     runs: list[tuple[Array, SimulationError | None]] = [prober.call(outputs_along, fmu, course) for course in courses]
-    # The rows before a failure suffice for the structure if there are many.
+    # If a simulation fails late, the rows before the failure suffice.
     counts = [len(table) > (SPAN if stop else 2) for table, stop in runs]
     good = [(course, table) for course, (table, _), counted in zip(courses, runs, counts, strict=True) if counted]
     if not good:
@@ -60,7 +60,7 @@ def co_simulation_structure(prober: Prober, courses: Sequence[Course]) -> Struct
     responses = Responses(prober, short, base, size)
     chosen = separate_pairs(_fits(good))
     ports = responses.ports(inputs, [v for _, v, _ in chosen])
-    # outputs of pairs are not storages; the first input that changes one storage only is its feed
+    # Outputs of pairs are not storages. The feed of a storage is the first input that changes only this storage.
     paired = {k for position, velocity, _ in chosen for k in (position, velocity)}
     found = responses.ports(inputs, [k for k in range(len(outputs)) if k not in paired], MIN_STORAGE_RATIO)
     feeds = {outputs[k]: port for k, acting in found.items() for port in acting[::-1] if port.is_alone}
@@ -70,7 +70,7 @@ def co_simulation_structure(prober: Prober, courses: Sequence[Course]) -> Struct
     tried = short.first(max(MIN_PARAMETER_ROWS, ALL_PARAMETERS_ROWS // count))
 
     def react(fmu: Fmu) -> tuple[Array, Array]:
-        """Return initial and later outputs."""
+        """Return the outputs after initialization, and in all rows."""
         table, stop = prober.call(outputs_along, fmu, tried)
         if not len(table):
             raise stop
@@ -132,10 +132,10 @@ def _rms(values: Array) -> float:
 
 
 class Responses:
-    """Differences of an FMU's outputs after a step of one input.
+    """Changes of an FMU's outputs due to a step of one input.
 
     Args:
-        base: Outputs without a step.
+        base: Outputs without a step of an input.
         size: Magnitude of each output.
 
     Attributes:
@@ -157,15 +157,15 @@ class Responses:
     def ports(
         self, inputs: Sequence[str], velocities: Sequence[int], least: float = 0.0
     ) -> dict[int, tuple[Port, ...]]:
-        """Return the inputs that change a velocity or storage equally in the first and second step.
+        """Return velocity or storage → inputs that change it equally in the first and second step.
 
         Args:
-            least: Minimum of the response after two steps, relative to the response after one.
+            least: Least ratio of the response after two steps to the response after one.
         """
         gains, takes_parts = dict[tuple[int, str], float](), takes_any_step(self._prober.description)
         for v, name in product(velocities, inputs):
-            # Parts of a step reveal a lag that a whole step hides. An FMU that rounds parts to whole steps has another
-            # gain there, which is not used.
+            # Parts of a step reveal a lag that a whole step hides. If an FMU rounds parts to whole steps, the gain
+            # differs and is not used.
             whole = self._gain(name, v, 1, least)
             fine = self._gain(name, v, PARTS_OF_STEP, least) if whole and takes_parts else whole
             gains[v, name] = whole if abs(fine) > MOST_GAIN * abs(whole) else fine
@@ -179,7 +179,7 @@ class Responses:
     def _gain(self, name: str, velocity: int, parts: int, least: float) -> float:
         """Return the derivative of a velocity per unit of an input that acts through one integrator, else 0.
 
-        The derivative is measured over a part of a step; the median over the places is used.
+        The derivative is measured over a part of a step; the result is the median over several times.
         """
         gains = []
         for share in STEP_TIME_SHARES:
@@ -191,9 +191,9 @@ class Responses:
         return float(np.median(gains)) if 2 * len(gains) > len(STEP_TIME_SHARES) else 0.0
 
     def _response(self, name: str, share: float, parts: int) -> tuple[Array, float]:
-        """Return the output differences from the row of an input step on, and the step size times the row's length.
+        """Return the output changes from the row of an input step on, and input step size × row duration.
 
-        The two communication steps after it are divided into parts.
+        The communication steps after the input step are divided into parts.
         """
         row = int(share * (self._course.time.size - 3))
         course = self._course.parted(row, parts)

@@ -1,4 +1,4 @@
-"""Measured structure of an FMU: dependencies, pairs, ports, time constants and effective parameters."""
+"""Structure of an FMU, found by simulation: dependencies, pairs, ports, time constants, effective parameters."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ START_STEP = 1e-2  # displacement of a start value or an input, as a share of it
 
 @dataclass(frozen=True)
 class Port:
-    """An input that acts directly on the derivative of a velocity or storage, but not on that of the position.
+    """An input that acts directly on the derivative of a velocity (but not of its position), or of a storage state.
 
     Attributes:
         gain: ∂v'/∂u, the median over the points.
@@ -50,7 +50,8 @@ class Connection:
 
     Attributes:
         first, second: Both pairs.
-        gear: Ratio i of the positions at rest, first to second; 1 unless only this connection supports both.
+        gear: Ratio i of the positions at rest, first to second; 1 unless this connection is the only force on both at
+            rest.
         ratio: Acceleration r of the second pair divided by the opposite acceleration of the first.
         stiffness, damping: k and d, medians over the points.
         deflection, speed: Standard deviation of q1 − i·q2 and v1 − i·v2 along the logs.
@@ -72,8 +73,8 @@ class Connection:
 class Damping:
     """A settable parameter b that damps a velocity v: f(x; b + δ) − f(x; b) = −δ·v·d(x).
 
-    The vector d(x) has the derivatives per force along v. It shows how every force along v acts. Its unit is the unit
-    of b times the unit of v.
+    The vector d(x) contains the change of all derivatives per unit of force along v, so it shows how any force along v
+    acts. The unit of force is the unit of b times the unit of v.
 
     Attributes:
         parameter: Name of b.
@@ -101,7 +102,7 @@ class EventCount:
     """Number of events of an FMU along a log, without changes of inputs.
 
     Attributes:
-        state, time, step: Events at zero crossings, at announced times, and requested after a solver step.
+        state, time, step: Numbers of state events, time events and step events.
     """
 
     log: str
@@ -117,7 +118,7 @@ class EventCount:
 
 @dataclass(frozen=True)
 class ProbedParameter:
-    """A real parameter that may be set before initialization.
+    """A real parameter that can be set before initialization.
 
     Attributes:
         acts: True if another value changes a derivative or an output.
@@ -143,8 +144,8 @@ class StartValue:
     """A start value of an FMU for co-simulation, used to set an unknown initial state.
 
     Attributes:
-        size: Change that moves some output by its standard deviation.
-        shown: Number of the output that equals it after initialization; −1 without one.
+        size: Change of the start value that changes an output by its standard deviation.
+        shown: Index of the output that equals the start value after initialization; −1 if there is none.
         gain: Change of this output divided by the change of the start value.
     """
 
@@ -161,9 +162,9 @@ class StartValue:
 
 @dataclass(frozen=True, eq=False)
 class Structure:
-    """Structure of an FMU along logs.
+    """Structure of an FMU, found by simulation along logs.
 
-    All names are names of the FMU, in its order; arrays have an entry for each element.
+    All names are FMU variables, in the order of the FMU; arrays have an entry for each element.
 
     Attributes:
         way: Probed interface.
@@ -172,8 +173,8 @@ class Structure:
             depends on an input that changes it at any later time.
         pairs: Positions with their velocities.
         storages: States outside pairs whose derivative depends on an input or another state; in co-simulation, outputs
-            outside pairs with an input of their own that acts through one integrator.
-        feeds: In co-simulation, storage → its input.
+            outside pairs that integrate an input which changes no other output.
+        feeds: In co-simulation, storage → input that it integrates.
         shown: State → output that equals it.
         largest_rate: Largest |eigenvalue| over the points [1/s]; 0 for co-simulation.
         scales: Standard deviation along the logs by name; the derivative of x is `der(x)`.
@@ -212,9 +213,9 @@ class Structure:
 
     @property
     def directions(self) -> tuple[Damping, ...]:
-        """Return the dampings needed to add forces: their forces change other derivatives, or d(x) varies."""
+        """Return the dampings that are needed to add forces, because d(x) varies or has several components."""
         return tuple(d for d in self.dampings if not (d.is_constant or d.port))
 
     def shown_as(self, state: str) -> str:
-        """Return the output that equals a state; without one, the state itself."""
+        """Return the output that equals a state; if there is none, the state itself."""
         return self.shown.get(state, state)

@@ -1,4 +1,4 @@
-"""Checks of an FMU beyond a single step: repetition, working folder, reset, saved states, memory."""
+"""Checks of an FMU by repeated simulations: repetition, working folder, reset, saved states, memory."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ LEAKED_BYTES = 1e6  # growth per instance that exceeds allocator overhead [bytes
 def misbehaviour(fmu: Path) -> Iterator[str]:
     """Yield a sentence on each misbehaviour of an FMU along small sines.
 
-    An FMU that fails at its start yields nothing.
+    For an FMU that fails at its start, nothing is yielded.
     """
     with Prober(fmu) as prober:
         way, *_ = ways(prober.description)
@@ -80,7 +80,7 @@ def misbehaviour(fmu: Path) -> Iterator[str]:
 # -- in the worker --------------------------------------------------------------------------------
 
 
-# Each returns reference outputs (None: those of an ordinary simulation) and the outputs to compare.
+# Each function returns reference outputs (None: outputs of an ordinary simulation) and outputs to compare with them.
 
 
 def outputs_again(way: Way, fmu: Fmu, course: Course) -> tuple[None, Array]:

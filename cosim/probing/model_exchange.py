@@ -119,7 +119,7 @@ def _points(prober: Prober, courses: Sequence[Course], runs: Sequence[Run]) -> t
 
 
 def _pairs(names: Sequence[Sequence[str]], known: Array, table: Array, points: Points) -> tuple[Pair, ...]:
-    """Return pairs: states whose derivative equals another state times a constant."""
+    """Return pairs (position, velocity): the derivative of a state equals another state times a constant."""
     states, inputs, _ = names
     n = len(states)
     rates, x = table[:, :n], known[:, :n]
@@ -166,7 +166,7 @@ def _connections(
 
 
 def _parameters(prober: Prober, course: Course, points: Points, has_events: bool) -> tuple[ProbedParameter, ...]:
-    """Return each settable parameter with its effects at points, or with events along a simulation."""
+    """Return each settable parameter with its effects at points or, if there are events, along a simulation."""
     places = points.places[:: points.spacing(PARAMETER_POINTS)]
     tried = tried_parameters(prober, lambda fmu: prober.call(reactions, fmu, course, places), points.size)
     if not has_events:
@@ -185,8 +185,8 @@ def _parameters(prober: Prober, course: Course, points: Points, has_events: bool
     return tuple(found)
 
 
-# Dependencies, derivatives and equalities of an FMU for model exchange, from displaced points of its simulations. The
-# code runs in the worker process.
+# Dependencies, derivatives and equalities of an FMU for model exchange, from evaluations near points of its
+# simulations. This code runs in the worker process.
 
 
 LOG_POINTS = 40  # points over all logs
@@ -204,7 +204,7 @@ class Points:
         scale: Displacement unit of each state and input.
         size: Magnitude of each derivative and output, for comparisons.
         depends: True if a derivative or output (row) changes with a state or input (column).
-        low, high: Limits of states and inputs, which no displacement exceeds.
+        low, high: Limits of states and inputs; displacements stay within them.
         slopes: Partial derivatives at each point.
         places: Time, states and inputs of each point.
         known, values: (states, inputs) and (derivatives, outputs) at all points and at randomly displaced points.
@@ -253,7 +253,7 @@ class Points:
         return self._inside(moved, z)
 
     def spacing(self, count: int) -> int:
-        """Return the spacing of evenly distributed places so that there are at most `count`."""
+        """Return the spacing with which at most `count` points are selected evenly."""
         return max(1, -(-len(self.places) // count))
 
     def _inside(self, moved: Array, z: Array) -> Array:
@@ -262,7 +262,7 @@ class Points:
 
 
 def _safe_rates(block: DifferentiableFmu, x: Array, u: Array, t: float | None = None) -> Array:
-    """Return derivatives and outputs, at another time if given; NaN if the FMU rejects the point."""
+    """Return derivatives and outputs, optionally at time `t` [s]; NaN if the FMU rejects the point."""
     try:
         return block.rates(x if t is None else block.move(t, x, u), u)
     except SimulationError:
@@ -303,10 +303,11 @@ def equal_columns(known: Array, values: Array) -> dict[int, int]:
 
 
 def evaluated(fmu: Fmu, course: Course, rows: Sequence[int], points: Points, run: Run | None) -> Points:
-    """Return points with evaluations at rows.
+    """Return the points, extended by evaluations at rows of a simulation.
 
     Args:
-        run: The simulation, to whose points the FMU is moved; None to simulate again, as necessary with events.
+        run: Finished simulation, whose points are set in the FMU; None to simulate again, which is necessary with
+            events.
     """
     if run is None:
         simulate(fmu, course, points.add, rows)
@@ -322,7 +323,7 @@ def evaluated(fmu: Fmu, course: Course, rows: Sequence[int], points: Points, run
 def reactions(fmu: Fmu, course: Course, places: Sequence[tuple[float, Array, Array]]) -> tuple[Array, Array]:
     """Return the states after initialization, and derivatives with outputs at points.
 
-    NaN if the FMU rejects a point.
+    Values are NaN if the FMU rejects a point.
     """
     with fmu.opened(course) as (block, _):
         block.start()
@@ -330,10 +331,10 @@ def reactions(fmu: Fmu, course: Course, places: Sequence[tuple[float, Array, Arr
         return states, np.array([_safe_rates(block, x, u, t) for t, x, u in places])
 
 
-# Parameters of an FMU for model exchange that show how forces act. A settable damping parameter of a coordinate shows
-# how any force on this coordinate acts. A force between two bodies accelerates each by the body's inertia, so a fit
-# that changes a mass changes the ratio of both accelerations. Most inertias are products or sums of parameters: two
-# trials of each parameter distinguish a power law from a sum.
+# Parameters of an FMU for model exchange that show how forces act. A settable damping parameter of a velocity shows how
+# any force along this velocity acts. A force between two bodies accelerates each by the body's inertia, so a fit that
+# changes a mass changes the ratio of both accelerations. Most inertias are products or sums of parameters: two trials
+# of each parameter distinguish a power law from a sum.
 
 
 PROPORTIONALITY_TOLERANCE = 1e-6  # largest relative deviation from proportionality to velocity and parameter
@@ -350,7 +351,7 @@ def dampings(
     parameters: Sequence[ProbedParameter],
     in_step: bool,
 ) -> tuple[Damping, ...]:
-    """Return the settable damping of each pair that has no input acting on it alone.
+    """Return a settable damping parameter for each pair without an input that acts on this pair alone.
 
     With another value of the parameter, the derivatives change in proportion to the pair's velocity and to the change,
     independent of the other velocities and inputs, and no output changes directly.
@@ -433,7 +434,7 @@ def with_factors(
     connections: Sequence[Connection],
     parameters: Sequence[ProbedParameter],
 ) -> tuple[Connection, ...]:
-    """Return connections whose ratios have factors for the parameters of the inertias."""
+    """Return the connections, with a factor of their ratio for each parameter of an inertia."""
     if not connections:
         return ()
     states = prober.fmu.names[0]

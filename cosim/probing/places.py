@@ -33,7 +33,7 @@ INNER_STEP_ACCURACY = 0.05  # accuracy of an internal step
 
 @dataclass(frozen=True)
 class OwnStep:
-    """The internal step of an FMU in co-simulation, above the requested communication step, so its results are wrong.
+    """An internal step of a co-simulation FMU that exceeds the communication step, so that results are wrong.
 
     Attributes:
         length, asked: Internal step and requested communication step [s].
@@ -58,7 +58,7 @@ def probe_own_step(
     *,
     limits: Limits = LIMITS,
 ) -> OwnStep | None:
-    """Return the internal step of an FMU in co-simulation, None if it has none above that of the log.
+    """Return the internal step of a co-simulation FMU if it exceeds the step of the log, otherwise None.
 
     Args:
         logs: Logs; the first one gives inputs and step. Without logs, small sines are used.
@@ -105,7 +105,7 @@ def probe_own_step(
 
 
 def excited_course(prober: Prober, course: Course) -> Course:
-    """Return the first rows of a course with inputs displaced from rest, so that the FMU moves."""
+    """Return the first rows of input trajectories with inputs displaced from rest, so that the FMU moves."""
     course = course.first(STEP_SEARCH_ROWS)
     for variable in reals(prober.description, "input"):
         if variable.name in course.inputs:
@@ -115,12 +115,12 @@ def excited_course(prober: Prober, course: Course) -> Course:
 
 
 def roundest(value: float) -> float:
-    """Return the number with the fewest digits near an inaccurate value."""
+    """Return the number with the fewest digits within the accuracy of a value."""
     rounded = (float(f"{value:.{digits}g}") for digits in (1, 2, 3))
     return next((r for r in rounded if abs(r - value) <= INNER_STEP_ACCURACY * value), value)
 
 
-# Places and interface; the internal step of co-simulation affects the choice of the interface.
+# Places and interface; an internal step of co-simulation affects the choice of the interface.
 
 
 MAX_STEP_EIGENVALUE = 20.0  # largest product of step and eigenvalue for a filter over the states
@@ -128,12 +128,12 @@ MAX_STEP_EIGENVALUE = 20.0  # largest product of step and eigenvalue for a filte
 
 @dataclass(frozen=True, eq=False)
 class Places:
-    """Structure and behaviour of an FMU, and the interface used for its refinement.
+    """Structure of an FMU, places where terms can be added, and the interface used for refinement.
 
     Attributes:
         reason: Reason for the interface.
         structure: Structure seen through the interface.
-        own_step: Internal step in co-simulation, None if it has none.
+        own_step: Internal step in co-simulation; None if it does not exceed the step of the log.
     """
 
     reason: str
@@ -154,7 +154,7 @@ class Places:
         return (*([self.own_step.finding] if self.own_step else []), *lost, *stops)
 
     def as_json(self) -> dict[str, Any]:
-        """Return the places as plain data."""
+        """Return the places as JSON types."""
         s = self.structure
         shows = {shown: state for state, shown in reversed([*s.shown.items()])}
 

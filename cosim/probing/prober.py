@@ -44,11 +44,11 @@ SINE_PERIODS = (1.0, 3.0, 7.0, 13.0)  # periods over the duration; every input h
 
 @dataclass(frozen=True, eq=False)
 class Course:
-    """Inputs of a simulation, constant between rows, and measurements for its initial states.
+    """Input trajectories of a simulation, constant between rows, and measurements for initial states.
 
     Attributes:
         step: Typical step [s].
-        states: Initial values of states by number, instead of those of the FMU.
+        states: Index of a state → initial value that replaces the FMU's.
     """
 
     name: str
@@ -60,7 +60,7 @@ class Course:
 
     @classmethod
     def of(cls, log: Log) -> Course:
-        """Return the course of a log."""
+        """Return the input trajectories and measurements of a log."""
         return cls(log.path.name, log.time, dict(log.inputs), dict(log.outputs), log.step)
 
     def first(self, rows: int) -> Course:
@@ -69,17 +69,17 @@ class Course:
         return replace(self, time=self.time[:rows], inputs=inputs, outputs=outputs)
 
     def begun(self, shown: Mapping[int, int], outputs: Sequence[str]) -> Course:
-        """Return the course with initial states taken from the measurements in its first row.
+        """Return a copy whose initial states are taken from the measurements in the first row.
 
         Args:
-            shown: Number of a state → number of the output that equals it.
+            shown: Index of a state → index of the output that equals it.
         """
         columns = {k: self.outputs.get(outputs[j]) for k, j in shown.items()}
         first = {k: float(y[0]) for k, y in columns.items() if y is not None and np.isfinite(y[0])}
         return replace(self, states=first)
 
     def parted(self, row: int, parts: int) -> Course:
-        """Return the course with two additional rows in the step after a row, spaced by a part of the step."""
+        """Return a copy with two additional rows in the step after a row, spaced by a part of the step."""
         if parts == 1:
             return self
         part = (self.time[row + 1] - self.time[row]) / parts
@@ -89,7 +89,7 @@ class Course:
 
 
 def sine_course(description: Any) -> Course:
-    """Return a course of small sines with many periods around the start values of the inputs."""
+    """Return input trajectories of small sines around the start values of the inputs."""
     experiment = description.defaultExperiment
     begin = float(getattr(experiment, "startTime", None) or 0.0)
     end = float(getattr(experiment, "stopTime", None) or 0.0)
@@ -133,7 +133,7 @@ def limits_of(variable: Any) -> tuple[float, float]:
 
 
 def moved(variable: Any, held: Array) -> Array:
-    """Return values of a variable displaced by a typical size, downward where an upper limit requires it."""
+    """Return values of a variable displaced by a typical size, downwards where an upper limit requires this."""
     size, (low, high) = float(np.std(held)) or amplitude_of(variable, float(held[0])), limits_of(variable)
     if held.max() + size > high and held.min() - size >= low:
         size = -size
@@ -153,12 +153,12 @@ def noise_of(table: Array, repeated: Array, size: Array) -> Array:
 
 @dataclass(eq=False)
 class Run:
-    """Simulation along a course, up to its end or to the failure of the FMU.
+    """A simulation, up to its end or to the failure of the FMU.
 
     Attributes:
         time: Times of the rows [s].
-        states, inputs, values: One row for each time; values are derivatives and outputs in model exchange, else
-            outputs.
+        states, inputs, values: Arrays with one row per time; values are derivatives and outputs in model exchange,
+            otherwise outputs.
         stop: Error that ended the simulation early.
     """
 
@@ -196,7 +196,7 @@ class Fmu:
         return scalars(states_of(about)), scalars(reals(about, "input")), scalars(reals(about, "output"))
 
     def too_short(self, course: Course) -> SimulationError:
-        """Return the error for a course with too few rows."""
+        """Return the error for a simulation that ended after too few rows."""
         text = "the log has too few rows to probe the FMU; give a longer one"
         return SimulationError(self.name, float(course.time[0]), text)
 
@@ -204,7 +204,7 @@ class Fmu:
     def opened(
         self, course: Course, way: Way | None = None, recorded: frozenset[str] = frozenset()
     ) -> Iterator[tuple[Any, Any]]:
-        """Yield an instance, loaded but not initialized, with the first inputs of a course, and its row of signals.
+        """Yield a loaded, uninitialized instance with the inputs of the first row, and its row of signals.
 
         Args:
             way: Interface that is stepped; None for a model-exchange instance with access to derivatives.
@@ -229,12 +229,12 @@ class Fmu:
 
 
 def announce(call: int) -> None:
-    """Announce the next FMU call to the parent of the worker, for its time limit."""
+    """Record the next FMU call in memory shared with the caller, which enforces its time limit."""
     here.progress.doing[0] = call
 
 
 def put_row(block: FmuBlock, row: Any, course: Course, k: int) -> None:
-    """Set the inputs of row k of the course."""
+    """Set the inputs of row k."""
     for number, signal in enumerate(block.inputs):
         if signal.name in course.inputs:
             row[number] = float(course.inputs[signal.name][k])
@@ -248,7 +248,7 @@ def simulate(
     visit: Callable[[DifferentiableFmu, float, Array, Array], None] = lambda block, t, x, u: None,
     rows: Collection[int] = (),
 ) -> Run:
-    """Simulate an FMU for model exchange along a course with the solver.
+    """Simulate an FMU for model exchange with given input trajectories.
 
     Args:
         visit: Function of (FMU, time, states, inputs), called at each row of `rows`; it must not change the FMU.
@@ -290,7 +290,7 @@ def simulate(
 def run_along(
     block: FmuBlock, row: Any, course: Course, first: int | None = None
 ) -> tuple[Array, SimulationError | None]:
-    """Return the outputs of a loaded FMU along a course, one row each, and the error that ended it early.
+    """Return the outputs of a loaded FMU in each row of a simulation, and the error that ended it early, if any.
 
     Args:
         first: Row at which an initialized FMU continues; None to initialize it.
@@ -322,7 +322,7 @@ def run_along(
 def outputs_along(
     fmu: Fmu, course: Course, way: Way = "co-simulation", recorded: frozenset[str] = frozenset()
 ) -> tuple[Array, SimulationError | None]:
-    """Return the outputs along a course, then recorded variables, and the error that ended it early."""
+    """Return outputs and recorded variables in each row of a simulation, and the error that ended it early, if any."""
     with fmu.opened(course, way, recorded) as (block, row):
         table, stop = run_along(block, row, course)
         names = [s.name for s in block.outputs]
@@ -330,7 +330,7 @@ def outputs_along(
     return table[:, [names.index(name) for name in order]], stop
 
 
-# Client of a probed FMU: its worker process, signals and pairs.
+# Access to a probed FMU: its worker process, signals and pairs.
 
 
 Job = Callable[..., Any]
@@ -378,7 +378,7 @@ class Prober(ExitStack):
 
     @contextmanager
     def hurry(self, took: float) -> Iterator[None]:
-        """Limit the time of jobs within the `with` block, because trial values may hang the FMU.
+        """Limit the time of jobs within the `with` block, because the FMU may hang with trial values.
 
         Args:
             took: Duration of an ordinary simulation [s].
@@ -433,14 +433,14 @@ def quantities(
     return tuple(made)
 
 
-# Trials of parameters and start values that may be set before initialization, to find those with an effect.
+# Trials of parameters and start values that can be set before initialization, to find those with an effect.
 
 
 MOST_STARTS = 40  # start values tried
 
 
 def settable_parameters(description: Any) -> list[Any]:
-    """Return the scalar real parameters that may be set before initialization."""
+    """Return the scalar real parameters that can be set before initialization."""
     return [
         v
         for v in description.modelVariables
@@ -500,7 +500,7 @@ def tried_parameters(
 
 
 def start_values(prober: Prober, course: Course, base: Array, noise: Array) -> tuple[StartValue, ...]:
-    """Return the start values of an FMU for co-simulation that change an output, as unknown initial states.
+    """Return the start values of a co-simulation FMU that change an output; fits use them as unknown initial states.
 
     Parameters whose names mark them as start values are not tried here.
 
@@ -530,7 +530,7 @@ def start_values(prober: Prober, course: Course, base: Array, noise: Array) -> t
         if not rows or not (np.abs(change) > noise).any():
             continue
         reach = float((np.abs(change) / spread).max()) / abs(by)
-        # the only output that equals it after initialization
+        # the only output that equals the start value after initialization
         slopes = change[0] / by
         shown = np.flatnonzero(np.abs(slopes) > noise / abs(by))
         output = (int(shown[0]), float(slopes[shown[0]])) if len(shown) == 1 else (-1, 0.0)

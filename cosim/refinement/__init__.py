@@ -1,1 +1,1 @@
-"""Refinement of a model from measured logs: fit, attribution, verdict and proof."""
+"""Refinement of a model from measured logs: search for hypotheses, decision, and replays that prove the result."""

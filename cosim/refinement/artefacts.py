@@ -1,4 +1,4 @@
-"""File kinds of this room."""
+"""Kinds of files of this room."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Content of refine.json, the result of a study for other programs; docs/refine_json.md explains its keys."""
+"""Content of refine.json, the result of a study for other programs. docs/refine_json.md explains the keys."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from cosim.refinement.search.fits import Hypothesis
 from cosim.refinement.study import Interpolation, Study
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
-Likelihood = Annotated[  # null if the filter diverged
+Likelihood = Annotated[  # null if the filter has diverged
     Finite | None, BeforeValidator(lambda value: value if value is not None and math.isfinite(value) else None)
 ]
 Channels = Annotated[dict[str, Finite], Field(description="measured output → root mean square, in its SI unit")]
@@ -40,9 +40,9 @@ class Estimate(BaseModel):
 
 
 class EffectEntry(BaseModel):
-    """An effect, sensor error or base parameter in the claim; `value` names the only parameter of the last two.
+    """An effect, sensor error or base parameter in the claim; `value` is the parameter of the last two.
 
-    kind: `sensor`: an error of the readings, which model.yaml has and an FMU has not
+    kind: `sensor`: an error of the readings, which model.yaml contains and the FMU does not
     probability: posterior probability that the part belongs to the model
     """
 
@@ -53,9 +53,9 @@ class EffectEntry(BaseModel):
 
 
 class NotExcludedEntry(BaseModel):
-    """An effect possible in place of a claimed special case.
+    """An effect that may replace a claimed effect, which is its special case.
 
-    in_place_of: name in `effects`
+    in_place_of: name of the claimed effect in `effects`
     """
 
     name: str
@@ -64,18 +64,18 @@ class NotExcludedEntry(BaseModel):
 
 
 class ClassEntry(BaseModel):
-    """A class of hypotheses that the logs do not tell apart, named by its most probable member."""
+    """A class of hypotheses that the logs do not distinguish, named by its most probable member."""
 
     names: list[str]
     probability: Finite
 
 
 class Followed(BaseModel):
-    """A parameter per log on a sealed log of no known group, filtered from past data.
+    """A parameter per log on a sealed log without a known group, estimated by the filter from past data.
 
-    value: at the end of the log
-    expected: at its start
-    spread: standard deviation at its start
+    value: estimate at the end of the log
+    expected: value assumed at the start of the log
+    spread: standard deviation at the start of the log
     """
 
     value: Finite
@@ -86,7 +86,7 @@ class Followed(BaseModel):
 class PerLog(BaseModel):
     """A parameter with a separate value for each group of logs.
 
-    groups: group, or file of a log that is in none → estimate
+    groups: group, or file of a log without a group → estimate
     """
 
     unit: str
@@ -96,13 +96,13 @@ class PerLog(BaseModel):
 
 
 class CandidateEntry(BaseModel):
-    """A hypothesis on trial.
+    """A hypothesis that was tried.
 
-    names: effects, sensor errors and base parameters it adds; none: the base model
-    log_likelihood_gain: over the recalibrated model; null where it diverged
+    names: added effects, sensor errors and base parameters; empty for the base model
+    log_likelihood_gain: gain over the recalibrated model; null if the filter diverged
     score_gain: log posterior odds to the recalibrated model
-    parameters: `effect.parameter` or base parameter by name, in SI
-    why: `claimed`, `a rival: …`, or why it lost
+    parameters: name (`effect.parameter` or base parameter) → value in SI units
+    why: `claimed`, `a rival: …`, or the reason against the hypothesis
     """
 
     names: list[str]
@@ -114,9 +114,9 @@ class CandidateEntry(BaseModel):
 
 
 class Inputs(BaseModel):
-    """Interpolation of inputs between two rows.
+    """How inputs behave between two rows: held or interpolated.
 
-    gain_otherwise: log-likelihood gained with every input taken the other way
+    gain_otherwise: log-likelihood gain if every input is used the other way
     """
 
     taken: dict[str, Interpolation]
@@ -126,10 +126,10 @@ class Inputs(BaseModel):
 class ProcessNoise(BaseModel):
     """Process noise density of one state's equation, in the state's unit squared per second.
 
-    before: with the base model
-    after: with the best hypothesis
-    inflated: the equation is deficient
-    gain: log-likelihood that this noise gains with the best hypothesis
+    before: density with the base model
+    after: density with the best hypothesis
+    inflated: true if the equation is deficient
+    gain: log-likelihood gain due to this noise with the best hypothesis
     """
 
     before: Finite
@@ -139,16 +139,16 @@ class ProcessNoise(BaseModel):
 
 
 class NamelessTerm(BaseModel):
-    """A term outside the catalogue with a further gain: coefficient · basis of one signal in one equation.
+    """A term outside the catalogue that increases the likelihood: coefficient · basis(signal) in one equation.
 
-    equation: the state
-    signal: the basis, such as `v·|v|`; `1`: a constant
-    gain: log-likelihood it gains
+    equation: state whose derivative has the term
+    signal: basis function, such as `v·|v|`; `1` for a constant
+    gain: log-likelihood gain due to the term
     coefficient: in the state's unit per second, per unit of the basis
-    place: of a local shape
-    width: of a local shape
-    local: the whole of a local shape
-    like: the law that a local shape resembles
+    place: centre of a local shape
+    width: width of a local shape
+    local: all data of a local shape
+    like: law that a local shape resembles
     """
 
     equation: str
@@ -162,11 +162,11 @@ class NamelessTerm(BaseModel):
 
 
 class Residual(BaseModel):
-    """Deficient equation and signals of the misfit, also if nothing in the catalogue fits.
+    """Deficient equation, and signals on which the residual depends, even if nothing in the catalogue explains it.
 
-    signals: what the misfit in that equation depends on, most important first
-    share: of the mean square missing input, explained by the first of `terms`
-    terms: most promising first
+    signals: signals on which the residual of the equation depends, most important first
+    share: share of the missing input's mean square that the first of `terms` explains
+    terms: unmodelled dynamics, largest gain first
     changing: parameter that changes with time in each log → its change from the first to the last row, in SI
     """
 
@@ -179,11 +179,11 @@ class Residual(BaseModel):
 
 
 class RungEntry(BaseModel):
-    """Error of predictions of held-out logs by one model, each log predicted by a fit to the others.
+    """Error of one model's predictions of held-out logs, each predicted by a fit to the other logs.
 
-    names: its candidates
+    names: candidates in the model
     ratio: error relative to `before`, geometric mean over outputs and logs
-    standard_error: of ln(error / least error of the ladder), over the logs
+    standard_error: standard error of ln(error / least error of all models), over the logs
     """
 
     model: Literal["before", "recalibrated", "candidates"]
@@ -193,12 +193,12 @@ class RungEntry(BaseModel):
 
 
 class Errors(BaseModel):
-    """RMSE of measured − model over FMU replays, pooled over the logs of each set.
+    """RMSE of measured − model in FMU replays, over all logs of a set together.
 
-    before: the model named in the study
-    recalibrated: that model with its base parameters adjusted
+    before: model named in the study
+    recalibrated: this model with adjusted base parameters
     after: model.yaml
-    nearest: nearest.yaml (for an FMU nearest.fmu), where there is one
+    nearest: nearest.yaml (nearest.fmu for an FMU), if there is one
     """
 
     before: Parts
@@ -210,30 +210,30 @@ class Errors(BaseModel):
 class Record(BaseModel):
     """Result of `cosim refine` on a study.
 
-    study: path of the study; empty of one that was written in Python
-    sentence: the verdict in plain words
-    posterior: highest probability first
-    inclusion: part → its probability, the sum over the classes with it
+    study: path of the study; empty for a study written in Python
+    sentence: verdict in plain words
+    posterior: classes of hypotheses, highest probability first
+    inclusion: part → probability, the sum over classes that contain it
     dispersion: κ, by which log-likelihoods are divided
-    reasons: what stands against a claim
-    effects: what is claimed, most important first
-    rivals: what the data cannot distinguish, where the verdict is `ambiguous`
-    experiment: the input that would separate rivals, else empty
-    alike: names that act alike for every input
-    nearest: what the nearest model has more than the given one
-    ladder: from the model of the study to more and more candidates
-    candidates: every hypothesis that was fitted, best first
-    hidden: effects that these logs would not show at their usual size, and did not
-    untested: effects that this subject and these logs do not allow to test, with the reasons
-    measured: outputs that some estimation log holds
-    warnings: what is doubtful about the study, in plain words
-    horizon: how long a replay in `error` is [s]
-    horizons: as `error`, over other horizons
-    noise_floor: on the validation logs where there are any
-    noise_floors: error of the refined model against itself, simulated with its noise
+    reasons: reasons against a claim
+    effects: claimed effects, sensor errors and base parameters, most important first
+    rivals: names that the logs do not distinguish, if the verdict is `ambiguous`
+    experiment: input that would separate the rivals; empty without rivals
+    alike: names with equal predictions for every input
+    nearest: names that the nearest model adds to the given model
+    ladder: errors on held-out logs, from the given model to models with more candidates
+    candidates: all fitted hypotheses, best first
+    hidden: effects that these logs would not show at their usual size
+    untested: effects that could not be tested with this subject and these logs, with the reasons
+    measured: outputs in the estimation logs
+    warnings: sentences on what is doubtful about the study
+    horizon: duration of the replays in `error` [s]
+    horizons: errors over other horizons, in the form of `error`
+    noise_floor: noise floor on the validation logs, otherwise on the estimation logs
+    noise_floors: error of replays against simulations of the same refined model with noise
     floor_scatters: standard deviation of the logarithm of each floor over the draws
-    coverage: share of the errors of sealed logs in the error bands of the delivered FMU
-    seconds: time it took
+    coverage: share of errors on sealed logs within the error bands of the delivered FMU
+    seconds: wall time of the refinement [s]
     """
 
     model_config = ConfigDict(title="refine.json")
@@ -297,8 +297,8 @@ def record(
     Args:
         outputs: Measured outputs.
         unfitted: Given model with fitted parameters per log.
-        noise: Noise of the best hypothesis, with sensor noise free of model errors.
-        gain_otherwise: Log-likelihood gained with every input taken the other way between rows.
+        noise: Noise of the best hypothesis, whose sensor noise does not include model errors.
+        gain_otherwise: Log-likelihood gain if every input is used the other way between rows.
         ends: Final filtered values of parameters per log on sealed logs.
         untested: Effects that this study cannot test, with the reasons.
     """
@@ -360,7 +360,7 @@ def record(
 
 
 def unfinished(study: Study, tried: Sequence[Hypothesis]) -> dict[str, Any]:
-    """Return the content of refine.json of a study that its limit of time has stopped: hypotheses, and no verdict."""
+    """Return the content of refine.json for a study that a time limit has stopped: hypotheses without verdict."""
     base = max((h.fit.nll for h in tried if not h.names), default=math.nan)
     gains = [(h, base - h.fit.nll) for h in sorted(tried, key=lambda h: h.score)]
     candidates = [
@@ -409,7 +409,7 @@ def _per_log(study: Study, f: Fit, ends: NamedValues) -> dict[str, PerLog]:
 
 
 def _rungs(ladder: Sequence[tuple[Hypothesis | None, Array]]) -> list[RungEntry]:
-    """Return the entries of the ladder; a model whose predictions diverge is omitted."""
+    """Return the entries of `ladder`; a model whose predictions diverge is left out."""
     finite = [rung for rung in ladder if np.isfinite(rung[1]).all()]
     if not finite or finite[0][0] is not None:
         return []
@@ -424,10 +424,10 @@ def _rungs(ladder: Sequence[tuple[Hypothesis | None, Array]]) -> list[RungEntry]
 
 
 def _reason(claims: Claims, h: Hypothesis, behind: float) -> str:
-    """Return the reason against a hypothesis.
+    """Return `claimed`, `a rival: …` or the reason against a hypothesis.
 
     Args:
-        behind: Log odds of the most probable hypothesis to it.
+        behind: Log odds of the most probable hypothesis relative to this one.
     """
     parts, decision = h.key, claims.decision
     if decision.is_rival(parts):

@@ -1,4 +1,4 @@
-"""Result of `refine`: in Python, and with everything that its report shows."""
+"""Result of `refine`: for users of Python, and with all data for the report."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Refinement:
-    """Result of a study, with everything that its report shows."""
+    """Result of a study, with all data for its report."""
 
     study: Study
     verdict: Claims
@@ -33,14 +33,14 @@ class Refinement:
     problem: Problem
     variants: Mapping[str, Variant]
     evidence: Mapping[str, Mapping[Part, ReplayedLogs]]  # before, recalibrated, after → estimation, validation
-    risen: Mapping[str, tuple[float, float]]  # channel → error before and after, if it rises on sealed logs
+    risen: Mapping[str, tuple[float, float]]  # channel → error before and after, for errors that rise on sealed logs
 
 
 @dataclass(frozen=True, repr=False)
 class Refined:
     """Result of a refinement: `record` is the content of refine.json; model.yaml and plant.fmu are in `folder`.
 
-    Without a claim these two are the model as it was, and nearest.yaml predicts best.
+    Without a claim, both files are the given model, and nearest.yaml is the model with the best predictions.
 
     Attributes:
         subject: The refined object; None if the result was read from a folder.
@@ -64,12 +64,12 @@ class Refined:
 
     @property
     def sentence(self) -> str:
-        """Return the verdict in words."""
+        """Return the verdict as text."""
         return str(self.record.get("sentence", ""))
 
     @property
     def model(self) -> Path:
-        """Return the path of model.yaml: the refined model, or without a claim the model as it was."""
+        """Return the path of model.yaml: the refined model; without a claim, the given model."""
         return self.folder / REFINED[0]
 
     @property
@@ -95,7 +95,7 @@ class Refined:
             part: `validation` or `estimation` logs.
 
         Raises:
-            ValueError: The record holds no errors of this part.
+            ValueError: There are no errors for this set of logs.
         """
         from cosim.report.cell.cell import new_figure
 
@@ -129,6 +129,6 @@ class Refined:
 
 
 def read_refined(folder: Path) -> Refined | None:
-    """Return the result in a folder, or None."""
+    """Return the result in a folder; None if there is none."""
     record = content_of(folder / REFINE_RECORD)
     return Refined(record, folder) if record else None

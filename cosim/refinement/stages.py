@@ -1,4 +1,4 @@
-"""Progress stages of a refinement, as stage k of n."""
+"""Stages of a refinement, shown as stage k of n."""
 
 from __future__ import annotations
 
@@ -31,21 +31,21 @@ _PLACE = {words: number for number, stage in enumerate(STAGE_MESSAGES, 1) for wo
 
 
 def stage_number(words: str) -> tuple[int, int]:
-    """Return the number of a stage from its progress message, 0 if unknown, and the number of stages."""
+    """Return the number of the stage with a progress message (0 if unknown), and the number of stages."""
     return _PLACE.get(words.partition(":")[0], 0), len(STAGE_MESSAGES)
 
 
 class Watcher:
-    """Base class of progress functions that also receive the ranking so far."""
+    """Base class of progress functions that also receive all hypotheses fitted so far."""
 
     def __call__(self, stage: str, share: float) -> None:
-        """Take the current stage and its completed share."""
+        """Receive the current stage and its completed share (0 … 1)."""
 
     def ranking(self, hypotheses: Sequence[Any]) -> None:
-        """Take all hypotheses fitted so far."""
+        """Receive all hypotheses fitted so far."""
 
 
 def report_ranking(progress: Callable[[str, float], None], hypotheses: Sequence[Any]) -> None:
-    """Report all hypotheses fitted so far to a progress function that takes them."""
+    """Pass all hypotheses fitted so far to a progress function that is a `Watcher`."""
     if isinstance(progress, Watcher):
         progress.ranking(hypotheses)

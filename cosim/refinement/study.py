@@ -42,7 +42,7 @@ from cosim.residuals.windows import SKIPPED
 from cosim.terms.language import with_place
 
 FMU_SUFFIX = ".fmu"
-SCORED = 1.0  # [s] least scored time, beside the skipped start and one horizon
+SCORED = 1.0  # [s] least time of a log that counts, in addition to the skipped start and one horizon
 Interpolation = Literal["held", "interpolated"]
 AnySubject = TypeVar("AnySubject", bound=Subject)
 Setting = TypeVar("Setting")
@@ -50,7 +50,7 @@ MIN_TOLERANCE = float(np.finfo(np.float64).eps)
 
 
 def _check_share(value: Any) -> Any:
-    """Return a valid tolerance; raise ValueError with the cure."""
+    """Return a tolerance if it is valid; raise ValueError with the cure if not."""
     if isinstance(value, str) and has_unit(value):
         with suppress(ValueError):
             value = read_quantity(value, "1")
@@ -71,7 +71,7 @@ FileName = Annotated[str, Field(pattern=r"^[^\x00]*$")]
 
 @dataclass(frozen=True)
 class Arguments:
-    """Places of faults in a study written in Python; `path` names the subject."""
+    """Names of arguments as places of faults, for a study written in Python; `path` names the subject."""
 
     path: Path
 
@@ -80,14 +80,14 @@ class Arguments:
         return Fault(self.path, 0, 0, with_prefix(f"{'.'.join(map(str, location))}: ", message))
 
 
-Places = YamlFile | Arguments  # of faults in a study's keys
+Places = YamlFile | Arguments  # gives faults in a study's keys their places
 
 
 class LogLists(BaseModel):
     """Log files, relative to the study.
 
     estimation: Logs for estimation.
-    validation: Logs sealed until all decisions are made.
+    validation: Sealed logs, which are opened after all decisions.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -131,7 +131,7 @@ class StudyFile(BaseModel):
     horizon: PositiveSeconds | Literal["free run"] | None = None
 
     def judged(self, subject: AnySubject) -> AnySubject:
-        """Return a new subject with the horizon and the start values of the study."""
+        """Return a subject with the horizon and the start noise of the study."""
         subject.start_variance = {**subject.start_variance, **{n: s * s for n, s in self.start_noise.items()}}
         if self.horizon is not None:
             subject.horizon = math.inf if self.horizon == "free run" else self.horizon
@@ -142,7 +142,7 @@ class StudyFile(BaseModel):
 class Study:
     """A study with its subject, its estimation logs cut at pauses, and warnings about all logs.
 
-    Validation logs stay sealed until `unseal`; before, only their usability is checked.
+    Validation logs stay sealed until `unseal`; before that, only their usability is checked.
 
     Attributes:
         path: Study file; None for a study written in Python with absolute paths.
@@ -165,7 +165,7 @@ class Study:
 
     @property
     def folder(self) -> Path:
-        """Return the folder of relative file names."""
+        """Return the folder to which relative file names refer."""
         return Path() if self.path is None else self.path.parent
 
     @property
@@ -175,12 +175,12 @@ class Study:
 
     @property
     def varied(self) -> list[str]:
-        """Return the inputs that change in some estimation log."""
+        """Return the inputs that change in at least one estimation log."""
         return [q.name for q in self.subject.inputs if any(np.ptp(log.inputs[q.name]) > 0.0 for log in self.logs)]
 
     @property
     def settings(self) -> Settings:
-        """Return the settings of the logs for the fits."""
+        """Return the study's settings for fits."""
         subject, content = self.subject, self.content
         per_log = tuple(full_name(subject, n) for n in content.per_log or ())
         files = [name for *_, name in _entries(content.logs)]
@@ -196,7 +196,7 @@ class Study:
         return Settings(interpolated, dict(tolerance), per_log, groups)
 
     def unseal(self) -> tuple[Log, ...]:
-        """Read the sealed logs; called once, after all decisions."""
+        """Read and return the sealed logs; called once, after all decisions."""
         usable = []
         for name in self.content.logs.validation:
             log = _read(self.folder / name, self.content, self.subject)
@@ -209,10 +209,10 @@ def read_study(path: Path, limits: str = "") -> Study:
     """Read a study and its logs.
 
     Args:
-        limits: Limits in place of those of the study, such as `total: 10 min`.
+        limits: Limits that replace those of the study, such as `total: 10 min`.
 
     Raises:
-        InputError: Every fault of the study, its model and its logs.
+        InputError: The study, its model or its logs have faults; the error names all of them.
     """
     yaml, content, faults = keys_of(path)
     if limits:
@@ -255,7 +255,7 @@ def read_parts_of_fmu(
     """Return the FMU, its estimation logs and the user's terms.
 
     Raises:
-        InputError: Every fault of the study and its logs.
+        InputError: The study or its logs have faults; the error names all of them.
         FmuError: Only the FMU has faults.
     """
     folder = yaml.path.parent
@@ -284,10 +284,10 @@ def read_parts_of_fmu(
 
 
 def _of_fmu(yaml: YamlFile, content: StudyFile, faults: list[Fault]) -> Study:
-    """Return the study of an FMU, probed along the estimation logs.
+    """Return the study of an FMU, whose structure is found by simulation along the estimation logs.
 
     Raises:
-        InputError: Every fault of the study and its logs.
+        InputError: The study or its logs have faults; the error names all of them.
         FmuError: Only the FMU has faults.
     """
     fmu, logs, terms = read_parts_of_fmu(yaml, content, faults)
@@ -304,7 +304,7 @@ def _of_fmu(yaml: YamlFile, content: StudyFile, faults: list[Fault]) -> Study:
         raise InputError([yaml.fault(("model",), message)])
     subject = FmuSubject.of_fmu(probed.structure, logs, terms, content.limits or Limits())
     subject.source += f", because {probed.reason}"
-    names = subject.names  # in place of the FMU's variables
+    names = subject.names  # names in the model, instead of FMU variables
     update: dict[str, Any] = {}
     for key in ("noise", "start_noise", "tolerance", "inputs", "candidates"):
         setting = getattr(content, key)
@@ -323,13 +323,13 @@ def study_of(
     validation: FilePath | Sequence[FilePath] = (),
     **settings: Any,
 ) -> Study:
-    """Return a study of any subject with checked logs.
+    """Return a study of any subject, with checked logs.
 
     Args:
         settings: Keys of a study file, such as noise={"position": 1e-3} or candidates=["coulomb_friction"].
 
     Raises:
-        InputError: Every fault of the study and its logs.
+        InputError: The study or its logs have faults; the error names all of them.
     """
     places = Arguments(Path(subject.title))
     lists = {
@@ -346,13 +346,13 @@ def study_of(
 
 
 def _checked(places: Places, content: StudyFile, subject: Subject, faults: list[Fault]) -> Study:
-    """Return the study of a subject with the usable stretches of its logs.
+    """Return the study of a subject, with the usable parts of its logs.
 
     Args:
-        faults: Those found before.
+        faults: Faults that are already known.
 
     Raises:
-        InputError: Every fault of the study and its logs.
+        InputError: The study or its logs have faults; the error names all of them.
     """
     if not subject.states:  # rows over time would say nothing more than any table
         cure = "estimate its parameters with `cosim fit LOG --fmu FMU`, or add a state to the model"
@@ -414,7 +414,7 @@ def _checked(places: Places, content: StudyFile, subject: Subject, faults: list[
 
 
 def _entries(logs: LogLists) -> list[tuple[str, int, str]]:
-    """Return list, place and name of each log."""
+    """Return list (estimation or validation), index and file name of each log."""
     lists = {"estimation": logs.estimation, "validation": logs.validation}
     return [(part, k, name) for part, names in lists.items() for k, name in enumerate(names)]
 
@@ -435,7 +435,7 @@ def _read(path: Path, content: StudyFile, subject: Subject) -> Log:
 
 
 def _usable_stretches(log: Log, horizon: float) -> tuple[list[Log], float]:
-    """Return the measured stretches of sufficient duration, and that duration [s]; a slow log needs more."""
+    """Return the parts of a log between pauses that are long enough, and the required duration [s]."""
     least = (SKIPPED + SCORED) * log.slowness + (horizon if math.isfinite(horizon) else 0.0)
     parts = [s for s in stretches(log) if s.outputs and s.time[-1] - s.time[0] >= least - 0.5 * log.step]
     return [fill_holes(s) for s in parts], least
@@ -471,7 +471,7 @@ def _key_faults(places: Places, content: StudyFile, subject: Subject) -> Iterato
 
 
 def full_name(subject: Subject, name: str) -> str:
-    """Return the full name of a parameter."""
+    """Return the full name of a parameter, such as `sensor.value` for a sensor error."""
     return f"{name}.value" if name in {kind.name for kind in subject.sensors} else name
 
 
@@ -482,7 +482,7 @@ def group_of(folder: Path, files: Sequence[str], groups: Mapping[str, Sequence[s
 
 
 def _per_log_faults(places: Places, content: StudyFile, subject: Subject) -> Iterator[Fault]:
-    """Yield faults of parameters per log."""
+    """Yield faults of the key `per_log`."""
     names, logs, folder = content.per_log, content.logs, places.path.parent
     if names is None:
         if content.groups:
@@ -545,14 +545,14 @@ def _group_faults(places: Places, content: StudyFile) -> Iterator[Fault]:
             owner.setdefault(path, group)
 
 
-# Outlook on a refinement: what `cosim refine` can find with the logs of a study, and what it cannot.
+# What `cosim refine` can find with the logs of a study, and what it cannot find.
 
 
-FEWEST_STEPPED = 2  # estimation logs in co-simulation, where the filter has no process noise inside the FMU
+FEWEST_STEPPED = 2  # least estimation logs of a co-simulation FMU, inside which there is no process noise
 
 
 def check_study(path: Path, checking: Checking) -> list[str]:
-    """Return the warnings of a study, and what a refinement can find in its FMU.
+    """Return the warnings of a study, and notes on what a refinement can find in its FMU.
 
     Raises:
         InputError: The study has faults.
@@ -608,7 +608,7 @@ def _untested_of_fmu(subject: FmuSubject, logs: Sequence[Log], still: Sequence[s
     """Yield the terms and parameters of an FMU that cannot be tested.
 
     Args:
-        still: Inputs that never change in the estimation logs.
+        still: Inputs that do not change in any estimation log.
     """
     s, names = subject.structure, subject.names
     logged = set[str]().union(*(log.outputs for log in logs))

@@ -1,6 +1,6 @@
-"""Workflow of a refinement: study, gate, recalibration, candidates, verdict, refined model, FMU, replays.
+"""Workflow of a refinement: study, checks of logs, recalibration, search, verdict, refined model, FMU, replays.
 
-Functions explore, the FMU proves: errors before and after are measured by FMU replays, and the validation logs are
+Fits use compiled filters, but errors before and after are measured by replays through the FMU. Validation logs are
 opened after all decisions.
 """
 
@@ -76,7 +76,7 @@ from cosim.residuals.compare import horizon_name
 from cosim.residuals.residual_statistics import COUNTS_FROM
 
 Progress = Callable[[str, float], None]
-FILES_OF = {"after": REFINED[1], "nearest": NEAREST[1]}  # FMU of a variant
+FILES_OF = {"after": REFINED[1], "nearest": NEAREST[1]}  # file of the FMU of a variant
 
 
 @one_stop()
@@ -90,16 +90,16 @@ def refine(
     limits: str = "",
     tell: Callable[[str], None] = lambda text: None,
 ) -> Refinement:
-    """Refine the model of a study; write refine.json and the refined files to `folder`, all or none.
+    """Refine the model of a study; write refine.json and the refined files to `folder`, all of them or none.
 
-    A model gives model.yaml and plant.fmu. The files of an earlier refinement are replaced. A search that a limit of
-    time stops leaves refine.json alone, with the hypotheses so far and without a verdict.
+    For a model, the files are model.yaml and plant.fmu. They replace files of an earlier refinement. If a time limit
+    stops the search, only refine.json is written, with the hypotheses so far and without a verdict.
 
     Args:
         study: Study file, or a study of any subject (`cosim.refinement.study.study_of`).
         report: Write report.html too.
         in_process: Load FMUs into this process, for a debugger.
-        limits: Limits in place of those of a study file, such as `step: 10 s, total: 10 min`.
+        limits: Limits that replace those of the study file, such as `step: 10 s, total: 10 min`.
         tell: Function that shows a note before the search.
 
     Raises:
@@ -166,7 +166,7 @@ def refine(
                         records[file] = credibility_of(search, h, variants[name], over, sets, place=place, fmu=file)
                     except CosimError as error:
                         warnings.append(f"{file.name} has no record of credibility: {error}")
-            hold_stops()  # From here, a result exists that must not be lost.
+            hold_stops()  # a result that exists from here must not be lost
             warnings += [*failure_warnings(problem), *_proof_warnings(variants, way, floors, played)]
             study = replace(study, warnings=(*study.warnings, *warnings))
             risen: dict[str, tuple[float, float]] = {}
@@ -201,7 +201,7 @@ def refine(
                 remove_earlier(folder, read=study.files)
                 results = [*files, scratch / REFINE_RECORD]
                 for name in {*REFINED, *NEAREST, "report.html"} - {path.name for path in results}:
-                    (folder / name).unlink(missing_ok=True)  # of an earlier study, be its answer there or not
+                    (folder / name).unlink(missing_ok=True)  # of an earlier study
                 for path in results:
                     path.replace(folder / path.name)
             release_stops()
@@ -218,9 +218,9 @@ def refine(
 
 
 class _Limited(Watcher):
-    """Progress that ends an overlong search, and keeps the hypotheses so far.
+    """Progress function that ends a search at its time limit, and stores the hypotheses so far.
 
-    The proof is not interrupted, because its sealed logs are opened once.
+    Final replays are not interrupted, because sealed logs are opened only once.
 
     Args:
         start: Clock time at the start of the study [s].
@@ -240,7 +240,7 @@ class _Limited(Watcher):
         self.progress(stage, share)
 
     def ranking(self, hypotheses: Sequence[Any]) -> None:
-        """Keep the hypotheses, and pass them on."""
+        """Store the hypotheses, and pass them to the caller's progress function."""
         self.tried = [*hypotheses]
         report_ranking(self.progress, hypotheses)
 
@@ -250,7 +250,7 @@ def _build_problem(study: Study) -> Problem:
     noise = study.content.noise
     problem = build_problem(study.subject, study.logs, noise=noise, settings=study.settings)
     stated = {*study.subject.sensor_variance, *noise}
-    shown, guesses = noise_levels(problem)  # a stated level may be too small
+    shown, guesses = noise_levels(problem)  # a stated noise level may be too small
     names = problem.layout.outputs
     visible, guess = (np.array([of.get(n, 0.0) ** 2 for n in names]) for of in (shown, guesses))
     r = np.where((guess > 0.0) & ~np.isin(names, [*stated]), guess, problem.r)
@@ -258,7 +258,7 @@ def _build_problem(study: Study) -> Problem:
 
 
 def _with_predictable_horizon(study: Study, problem: Problem) -> Study:
-    """Return the study with the horizon over which the given model can predict, and a warning if it is shorter."""
+    """Return the study with a horizon over which the given model can predict, and a warning if it is shortened."""
     horizon = study.subject.horizon
     shorter = predictable_horizon(problem, horizon)
     if shorter >= horizon:
@@ -290,7 +290,7 @@ def _divergences(study: Study, problem: Problem) -> Iterator[Fault]:
 
 
 def _candidates(study: Study) -> list[Candidate]:
-    """Return the candidates named by the study, or all; of an FMU, without the sensors of outputs that no log has."""
+    """Return the candidates of the study (default: all); for an FMU, without sensors of outputs that no log has."""
     subject, named = study.subject, study.content.candidates
     candidates = list(drop_own_parameters(subject.candidates(study.varied), study.settings.per_log))
     if named is not None:
@@ -308,7 +308,7 @@ def _variants(search: Search, claims: Claims, unfitted: Fit) -> dict[str, Varian
     """
     named: dict[str, Hypothesis | None] = {"recalibrated": claims.base, "after": claims.claimed}
     named |= {"nearest": claims.nearest} if claims.grade != "claimed" else {}
-    made = {id(None): variant_of(search, search.subject, unfitted)}  # one that stands twice is replayed once
+    made = {id(None): variant_of(search, search.subject, unfitted)}  # a variant that occurs twice is replayed once
     for h in filter(None, named.values()):
         made[id(h)] = refined_variant(search, h)
     return {"before": made[id(None)], **{name: made[id(h)] for name, h in named.items()}}

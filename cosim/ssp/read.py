@@ -95,7 +95,7 @@ class Package:
     packed: bool
 
     def resolve(self, source: str) -> Path | str:
-        """Return the file of a relative URI in the SSP, or a message on a URI that is not allowed."""
+        """Return the file of a relative URI in the SSP, or a message that says why the URI is not allowed."""
         name, cure = source[:80], "put the file into resources/ and use that path"
         try:
             uri = urlsplit(source)
@@ -110,7 +110,7 @@ class Package:
             return f'"{name}" is not a file name'
 
     def element(self, path: Path) -> Element:
-        """Return the root element of a file; raise InputError."""
+        """Return the root element of a file; raise InputError if it cannot be read or parsed."""
         label = path
         if self.packed:
             label = self.shown if path == self.structure else self.shown / path.relative_to(self.folder)
@@ -260,7 +260,7 @@ class Reader:
         self.warnings: list[str] = []
 
     def note(self, element: Element, message: str) -> None:
-        """Record a fault of an element; raise InputError at the limit of faults."""
+        """Record a fault of an element; raise InputError with all faults once there are too many."""
         self.faults.append(element.fault(message))
         if len(self.faults) >= MOST_FAULTS:
             raise InputError(self.faults)

@@ -82,7 +82,7 @@ def defined_units(used: Iterable[tuple[Any, str]]) -> Units:
 
 
 def write_ssp(path: Path, whole: Whole) -> Path:
-    """Write an SSP completely or not at all, byte-reproducible."""
+    """Write an SSP completely or not at all; equal systems give equal bytes."""
     files = {model.name: f"{RESOURCES_FOLDER}/{model.name}.fmu" for model in whole.models}
     members = {STRUCTURE: _xml(_description(whole, files))}
     if any(model.start for model in whole.models):

@@ -73,7 +73,7 @@ def check(
         Notes and warnings, one line each.
 
     Raises:
-        InputError: Every fault of all files.
+        InputError: A file has faults; the error names all of them.
     """
     from cosim.blocks.compiling import compiling, permission
     from cosim.credibility.record import check_signature

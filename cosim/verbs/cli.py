@@ -250,7 +250,7 @@ COMPLETIONS: dict[str, Callable[[str], Any]] = {"RUN": _complete_runs, "KIND": _
 
 
 def _verb_to_complete() -> str:
-    """Return the verb on the line to complete in a shell; "-h" if the verb itself is incomplete."""
+    """Return the verb on the line that the shell completes; "-h" if the verb itself is incomplete."""
     line = os.environ.get("_TYPER_COMPLETE_ARGS") or os.environ.get("COMP_WORDS") or ""
     words = line.split()
     return words[1] if len(words) > 2 or (len(words) == 2 and line[-1:].isspace()) else "-h"

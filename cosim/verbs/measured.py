@@ -54,7 +54,7 @@ def replay_command(*, open: bool = False, json: bool = False, **given: Any) -> N
     rows, record, answer = [], replay_record(place), verdict(comparison)
     with showing(record):
         text = sentence(comparison)
-        for c in worst_first(comparison.channels):  # the error of each, beside the noise of its sensor
+        for c in worst_first(comparison.channels):  # the error of each channel beside the noise of its sensor
             error = size(c.scores[c.measure].rmse, c.unit)
             rows.append((c.name, error, horizon_name(c.measure), size(c.noise, c.unit), plain(c.excess, 2)))
     say(f"verdict: {answer}", tone=ANSWER_TONES[answer])
@@ -158,7 +158,7 @@ def refine(
         The verdict, the effects, the refined model and its FMU.
 
     Raises:
-        InputError: Every fault of the input.
+        InputError: The input has faults; the error names all of them.
         FmuError: An FMU cannot be read or loaded.
         SimulationError: The simulation failed; the rows so far are in `out`.
     """

@@ -76,7 +76,7 @@ def say_run(run: Run, *, opens: bool, lines: Sequence[str] = ()) -> None:
     from cosim.simulation.criteria import sentence
     from cosim.simulation.report.recorded import time_sentence
 
-    assert run.folder is not None  # a command writes
+    assert run.folder is not None  # a command always writes into a folder
     rows, warnings, timings = rows_in(run.folder), run.manifest["warnings"], run.manifest["timings"]
     warn(*warnings)
     with showing(run.manifest):
@@ -86,7 +86,7 @@ def say_run(run: Run, *, opens: bool, lines: Sequence[str] = ()) -> None:
             {
                 "status": "missed" if run.missed else run.manifest["status"],
                 "exit_code": CriterionMissed.exit_code if run.missed else 0,
-                "met": not run.missed if run.criteria else None,  # nothing was asked for
+                "met": not run.missed if run.criteria else None,  # None: the scenario has no criteria
                 "criteria": run.criteria,
                 **({"validity": run.manifest["validity"]} if "validity" in run.manifest else {}),
                 "warnings": warnings,

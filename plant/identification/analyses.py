@@ -1,4 +1,4 @@
-"""Analyses of the tests of a bench: two estimators each, with notes and figures.
+"""Analyses of the tests on a bench: for each test two estimators, notes and figures.
 
 Test 1, thrust over the duty without ground effect: §4.5.1, eqs 4.15-4.22, App. D.3.1. Test 2, ground effect over the
 height: §4.5.2, eqs 4.23-4.28, App. D.3.2. Test 3, projections of the thrust: §4.5.3, App. D.3.3. Test 4, lags of tilt
@@ -49,9 +49,8 @@ DECIBEL, DEGREE = 20.0, 180.0 / np.pi
 def rows_with_thrust(m: Measurement) -> tuple[float, float, list[Flags], list[Array], int]:
     """Return rows in the window and the cell's range where T = max(0, a + b·δ), eq 4.20, is positive.
 
-    Rows are selected by command only: a selection by reading would bias the line. Zero thrust ends at the kink of
-    the
-    equation fitted to all readings.
+    Rows are selected by command only, because a selection by reading would bias the line. Thrust begins at the kink of
+    the equation that is fitted to all readings.
 
     Returns:
         Highest duty within the range of the cells [%], and highest duty of zero thrust [%]; of each repetition the
@@ -82,7 +81,7 @@ def rows_with_thrust(m: Measurement) -> tuple[float, float, list[Flags], list[Ar
 
 
 def zero_thrust(duty: Array, thrust: Array) -> float:
-    """Return δ₀ [%] of T = b·max(0, δ − δ₀). If a straight line without kink fits best, δ₀ is below all duties."""
+    """Return δ₀ [%] of T = b·max(0, δ − δ₀). If a line without a kink fits best, δ₀ is below all duties."""
 
     def explained(start: float) -> float:
         """Return the sum of squares explained by a line that starts at zero thrust."""
@@ -174,12 +173,12 @@ def thrust_line(m: Measurement) -> Result:
 
 
 def _reach(values: Array) -> float:
-    """Return 1.96 standard deviations of some values, 0 for fewer than two."""
+    """Return 1.96 standard deviations of values; 0 for fewer than two values."""
     return 1.96 * float(np.std(values, ddof=1)) if len(values) > 1 else 0.0
 
 
 def _extend_to_tangents(result: Result, degree: int, errors: Mapping[int, float], duty: Array, thrust: Array) -> None:
-    """Widen the intervals to all tangents of a curve of `degree`, and warn that the thrust is nonlinear."""
+    """Widen the intervals to include all tangents of a curve of `degree`, and warn that the thrust is nonlinear."""
     curve = np.poly1d(np.polyfit(duty - MIDDLE_DUTY, thrust, degree))
     grid = np.linspace(duty.min(), duty.max(), 101)
     slopes = curve.deriv()(grid - MIDDLE_DUTY)
@@ -211,12 +210,12 @@ def _gain_at(m: Measurement, r: Recording) -> Array:
 
 
 def _delayed_duty(m: Measurement, r: Recording, begins: float) -> Array:
-    """Return the duty after lag and low pass, with commands limited to at least `begins`, the duty of zero thrust."""
+    """Return the duty after lag and low pass; commands are limited to at least `begins`, the duty of zero thrust."""
     return low_pass(held_lag(np.maximum(r.duty, begins), r.step, m.bench.lag), r.step, m.test.low_pass)
 
 
 def _bow(m: Measurement, r: Recording, line: Array, begins: float) -> Array:
-    """Return the error [gf] of readings on ramps: the low pass filters voltages, and the cell's curve is nonlinear."""
+    """Return the error [gf] of readings on ramps, because the low pass filters voltages and the cell is nonlinear."""
     cell, gain, gram = m.cells["z"], _gain_at(m, r), 1000.0 / m.bench.gravity
     steady = line[0] + line[1] * held_lag(np.maximum(r.duty, begins), r.step, m.bench.lag)
     volts = cell.volts_of(steady * gain / gram, np.linspace(0.0, m.bench.converter_range, 4001))
@@ -255,11 +254,11 @@ def ground_effect_exponent(m: Measurement) -> Result:
         return np.asarray(ground_effect(arrays(), np.asarray(z, float), radius, exponent))
 
     def relative(exponent: float) -> Array:
-        """Return Γ relative to that at the free height."""
+        """Return Γ relative to Γ at the free height."""
         return gamma(exponent, heights) / gamma(exponent, [free])
 
     def forces(force: Callable[[Recording], Array], chosen: dict[float, list[Recording]] = main) -> Array:
-        """Return mean forces, shape (heights, repetitions), free height last."""
+        """Return mean forces, shape (heights, repetitions); the free height is last."""
         least = min(len(chosen[h]) for h in (*heights, free))
         rows = [[float(force(r)[m.inside(r)].mean()) for r in chosen[h][:least]] for h in (*heights, free)]
         return np.array(rows)
@@ -335,12 +334,12 @@ def ground_effect_exponent(m: Measurement) -> Result:
 
 
 def height_of(r: Recording, test: HeightTest) -> float:
-    """Return a run's height [m], at most `free_height`."""
+    """Return the height of a run [m], limited to `free_height`."""
     return min(round(float(np.median(r.height[r.rows(test.window)])), 4), test.free_height)
 
 
 def sets_by_duty(recordings: Sequence[Recording], test: HeightTest) -> list[dict[float, list[Recording]]]:
-    """Return for each duty the recordings by height; most recordings first, the validation duty last."""
+    """Return height → recordings for each duty; the duty with most recordings is first, the validation duty last."""
     sets: dict[float, dict[float, list[Recording]]] = {}
     for r in recordings:
         duty = round(float(np.median(r.duty[r.rows(test.window)])), 3)
@@ -356,7 +355,7 @@ def sets_by_duty(recordings: Sequence[Recording], test: HeightTest) -> list[dict
 def projection(m: Measurement) -> Result:
     """Return factors on cos α and sin α in F_z and F_x, ideally 1.
 
-    Forces are relative to the thrust held upright.
+    Forces are relative to the thrust of the upright propeller.
     """
     test = m.test
     functions: Sequence[tuple[str, str, Any]] = (("z", "vertical", np.cos), ("x", "horizontal", np.sin))
@@ -568,7 +567,7 @@ def after_sines(m: Measurement) -> Result:
         return np.array([[_sine(r, of.force(r, "x"), w, test) for r, w in row] for row in chosen])
 
     def scale(c: Array) -> Array:
-        """Return the force per sine of the tilt at each lag, shape (repetitions, lags); tables by frequency and lag."""
+        """Return the force per sine of the tilt at each lag, shape (repetitions, lags)."""
         along = (np.conj(tables).T[None] * c[:, None, :]).sum(axis=2).real
         return np.asarray(along / (np.abs(tables) ** 2).sum(axis=0))
 
@@ -619,7 +618,7 @@ def after_sines(m: Measurement) -> Result:
 
 
 def frequency_of(r: Recording, test: SineTest) -> float:
-    """Return the protocol's frequency [rad/s] nearest a run's command."""
+    """Return the frequency of the protocol [rad/s] that is nearest to that of a run's command."""
     rows = r.time >= test.lead
     t, command = r.time[rows] - test.lead, r.servo_duty[rows] - r.servo_duty[rows].mean()
 

@@ -1,4 +1,4 @@
-"""Checks of recordings and planned runs: ranges, phases, saturated, swapped or sign-reversed cells, results."""
+"""Checks of recordings and planned runs: ranges, phases, results, and saturated, swapped or sign-reversed cells."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ SWAPPED = "the channels may be swapped; then rename them"
 
 
 def planned_faults(protocol: Protocol) -> Iterator[Fault]:
-    """Yield every fault of the simulated tests before the simulation; equal runs are reported once."""
+    """Yield every fault of the tests that will be simulated; faults of equal runs are reported once."""
     file = protocol.file
     for name, test in file.tests.named_tests():
         runs = [] if test.files else commands(test, protocol.bench, file.step)
@@ -56,7 +56,8 @@ def lacks(bench: Bench, name: str, test: Test, r: Recording, *, own: bool) -> It
     """Yield key of the test, row and message for each fault of a recorded or planned run.
 
     Args:
-        own: True if the thrust line in `bench` is that of the simulation and gives the duty of zero thrust.
+        own: True if the thrust line in `bench` is that of the simulated bench, so that it gives the duty of zero
+            thrust.
     """
     windows = {"rest": test.rest} if isinstance(test, SineTest) else {"rest": test.rest, "window": test.window}
     if isinstance(test, HoldTest):
@@ -170,7 +171,7 @@ def recording_faults(protocol: Protocol, name: str, recordings: Sequence[Recordi
 
 
 def _range_faults(bench: Bench, r: Recording) -> Iterator[tuple[int, str]]:
-    """Yield row and message of each column's first implausible value; without one, of an impossible tilt."""
+    """Yield row and message of the first implausible value in each column; if there is none, of an impossible tilt."""
     step = bench.converter_range / bench.converter_levels
     cures = {"%": "write it in % of the frame", "V": "give raw voltages, or `converter_range`"}
     columns = (r.duty, r.servo_duty, r.height, *r.volts.values())
@@ -227,7 +228,7 @@ def _cell_fault(m: Measurement, name: str, r: Recording) -> tuple[int, str] | No
 
 
 def result_faults(protocol: Protocol, results: Sequence[Result]) -> Iterator[Fault]:
-    """Yield a fault for each impossible result; warn in the result if an interval includes impossible values."""
+    """Yield a fault for each impossible result; add a warning to a result whose interval includes impossible values."""
     for result in results:
         for e in result.estimates:
             if e.name.startswith("lag"):  # an end of the range of tried lags is not a result

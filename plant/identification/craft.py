@@ -9,8 +9,8 @@ Noise: the thesis uses the variance about the mean. The variance about a straigh
 not count as noise; its interval accounts for correlated rows.
 
 Distance: the thesis matches its observer, c of eq 5.31, to a tape measure over 1.5 m. An observer with measured
-accelerations follows these more than the model, and counts their errors as friction. Here the model alone follows the
-recorded commands; both results are given.
+accelerations follows the measurements more than the model, and counts their errors as friction. Here the model is
+simulated with the recorded commands alone; both results are reported.
 """
 
 from __future__ import annotations
@@ -52,14 +52,14 @@ IMU = ("psi", "psi_dot", "ax")
 
 
 class RestFile(Part):
-    """Logs of the craft at rest; `window` [s] of each, by default the whole log."""
+    """Logs of the craft at rest; `window` [s] selects rows of each log, by default all."""
 
     files: Annotated[Files, Field(min_length=1)]
     window: Window | None = None
 
 
 class DistanceFile(Part):
-    """Runs over a measured distance `covered`, common or separate, in the unit of `output`."""
+    """Runs over a measured distance `covered`, common to all runs or one per run, in the unit of `output`."""
 
     files: Annotated[Files, Field(min_length=MIN_DISTANCE_RUNS)]
     parameter: str
@@ -84,7 +84,7 @@ class CraftFile(Part):
 
 @dataclass(frozen=True)
 class CraftUnderTest:
-    """A file of craft identification, the model and the logs that it names."""
+    """A file for identification from logs of a craft, with its model and logs."""
 
     yaml: YamlFile
     file: CraftFile
@@ -102,7 +102,7 @@ def read_craft(path: Path) -> CraftUnderTest | None:
     """Read a file for craft identification and its logs; return None for a protocol of a bench.
 
     Raises:
-        InputError: Every fault of the file and its logs.
+        InputError: The file or its logs have faults; the error names all of them.
     """
     check_given(path, PROTOCOL)
     yaml = YamlFile(path)
@@ -169,7 +169,7 @@ def _readings(logs: Sequence[Log], name: str, window: Window | None) -> Iterator
 
 
 def _noise(logs: Sequence[Log], model: Model, window: Window | None) -> Result:
-    """Return the pooled variance S² (eq 5.44) of each output, and the variance about a line with 95 % χ² interval."""
+    """Return the pooled variance S² (eq 5.44) of each output, and its variance about a line with a 95 % χ² interval."""
     result = Result("rest", [])
     for q in model.outputs:
         if not (parts := list(_readings(logs, q.name, window))):
@@ -239,7 +239,7 @@ def _distance(runs: Sequence[Log], loaded: LoadedModel, asked: DistanceFile) -> 
 
 
 def _match(distance_of: Callable[[float], float], length: float, bounds: tuple[float, float], near: float) -> float:
-    """Return the parameter value nearest `near` whose distance is `length`.
+    """Return the parameter value, nearest to `near`, with which the distance is `length`.
 
     Raises:
         ValueError: No value within the bounds gives the distance.
@@ -267,7 +267,7 @@ def _path(run: Log, model: Model, output: str) -> Array:
 
 
 def _observer_distance(run: Log, model: Model, parameter: str, output: str) -> Callable[[float], float] | None:
-    """Return the distance of the craft's observer (App. F), None for other models or missing sensors."""
+    """Return parameter → distance by the observer (App. F); None for other models or missing sensors."""
     from controller.observers import LinearFilter
     from controller.settings import FilterSettings
     from controller.synthesis import numbers_of

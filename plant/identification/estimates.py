@@ -68,7 +68,7 @@ class Result:
 
     Attributes:
         each: Values of each repetition, shape (N, p).
-        shifts: Change of their means by one standard deviation of each calibration point, shape (points, p).
+        shifts: Change of the means of `each` by one standard deviation of each calibration point, shape (points, p).
     """
 
     test: str
@@ -85,7 +85,7 @@ class Result:
 class Measurement:
     """The recordings of a test, its cells and the assumed bench.
 
-    `truth` is the simulated bench, None for a measured one.
+    `truth` is the simulated bench; None for a measured one.
     """
 
     recordings: Sequence[Recording]
@@ -117,7 +117,7 @@ class Measurement:
         return r.rows(self.test.window)
 
     def printed_factor(self, channel: str, function: Callable[[Array], Array]) -> float:
-        """Return the factor of all readings, as in the thesis, on a function of the commanded tilt."""
+        """Return the factor between all readings and a function of the commanded tilt, as in the thesis."""
         top = bottom = 0.0
         for r in self.recordings:
             basis = function(r.commanded_tilt(self.bench)[self.inside(r)])
@@ -189,7 +189,7 @@ def interval(each: Array, shifts: Array | None = None) -> tuple[Array, Array, Ar
 def make_estimates(
     numbers: Sequence[tuple[str, str, float, float]], each: Array, origin: str, shifts: Array | None = None
 ) -> list[Estimate]:
-    """Return estimates from repetitions (N, p) and shifts.
+    """Return estimates from values of N repetitions, shape (N, p), and shifts.
 
     Args:
         numbers: Name, unit, thesis' estimate and true value of each number.
@@ -213,7 +213,7 @@ def estimated(
 
     Args:
         values: Function from the measurement to the values of each repetition, shape (N, p).
-        channels: Cells whose points change.
+        channels: Cells whose calibration points are varied.
         thesis: Estimate of the thesis of each number.
     """
     each = values(m)

@@ -74,7 +74,7 @@ class CellFile(Part):
 
     unit:       Unit of full scale and loads.
     full_scale: Largest load.
-    error:      Standard deviation as a share of full scale.
+    error:      Standard deviation of each load, as a share of full scale.
     loads:      Simulated calibration loads.
     points:     Measured load and voltage [V] of each point, instead of loads.
     """
@@ -142,7 +142,7 @@ class Test(Part):
 
     @property
     def analysed(self) -> tuple[float, float]:
-        """Return the times [s] of the analysed rows."""
+        """Return the first and last time [s] of the analysed rows."""
         return self.window
 
     @model_validator(mode="after")
@@ -171,7 +171,7 @@ class HeightTest(Test):
 class HoldTest(Test):
     """Forces over the tilt.
 
-    hold: Start and end [s], upright, under full thrust.
+    hold: Start and end [s] of a time in which the propeller is upright, with full thrust.
     """
 
     hold: Window
@@ -190,12 +190,12 @@ class SineTest(Test):
     """Sinusoidal tilt.
 
     frequencies: Frequencies [rad/s].
-    periods:     Periods of each, whole or fractional.
+    periods:     Number of periods of each frequency, whole or fractional.
     amplitude:   Amplitude [deg].
     duty:        Duty [%].
     lead:        Time before the sines [s].
-    skip:        First part of the sines to ignore [s].
-    thesis_skip: Periods of each ignored in the thesis.
+    skip:        Time at the start of the sines that is ignored [s].
+    thesis_skip: Number of periods of each frequency that the thesis ignores.
     """
 
     frequencies: list[Annotated[Positive, InUnit("rad/s")]]
@@ -212,7 +212,7 @@ class SineTest(Test):
         return self.lead + self.skip, float("inf")
 
     def skipped_by_thesis(self, frequency: float) -> float:
-        """Return the first part [s] of a sine that the thesis ignores."""
+        """Return the time [s] at the start of a sine that the thesis ignores."""
         periods = dict(zip(self.frequencies, self.thesis_skip, strict=False)).get(frequency, 0.0)
         return periods * 2.0 * math.pi / frequency
 
@@ -229,7 +229,7 @@ class SineTest(Test):
 
 
 class Tests(Part):
-    """Tests; only the listed ones are done.
+    """Tests of a protocol. Only tests that are listed are executed.
 
     thrust_line:   Thrust over duty.
     ground_effect: Thrust over height.
@@ -266,8 +266,8 @@ class ProtocolFile(Part):
     step:       Time between rows [s].
     parameters: Parameters of the bench that differ from its defaults.
     draws:      Variation between runs.
-    cells:      z, x, m: cells of the forces and the moment.
-    tests:      Tests to do.
+    cells:      z, x, m: load cells of both forces and the moment.
+    tests:      Tests to execute.
     """
 
     schema_version: Literal[1] = 1
@@ -284,7 +284,7 @@ class ProtocolFile(Part):
 
 @dataclass(frozen=True)
 class Protocol:
-    """A protocol, and the bench with its parameters, exact for a simulated one."""
+    """A protocol and its bench; for a simulated bench, the parameters are exact."""
 
     yaml: YamlFile
     file: ProtocolFile
@@ -301,7 +301,7 @@ def read_protocol(path: Path) -> Protocol:
     """Read a protocol.
 
     Raises:
-        InputError: Every fault of the file.
+        InputError: The file has faults, all of which the error names.
     """
     check_given(path, PROTOCOL)
     yaml, bench = YamlFile(path), Bench()

@@ -1,7 +1,7 @@
 """Recordings of a protocol, simulated by an FMU or measured, and the load cells that convert their voltages to forces.
 
 The thesis uses a piecewise cubic through every calibration point (interp1), including its error. Here one cubic is
-fitted to all points if monotonic, else the piecewise cubic is used.
+fitted to all points; the piecewise cubic is used only if that cubic is not monotonic.
 """
 
 from __future__ import annotations
@@ -36,9 +36,9 @@ class Recording:
 
     Attributes:
         volts: Cell → voltage of each row.
-        low_pass, loads, thrust: Of a simulated run: filter time, loads at the hub, factor on the thrust.
-        noise: Of a simulated run: voltage added to each reading, shape (cells, rows).
-        path, lines: Of a measured run: its file, and the line of each row.
+        low_pass, loads, thrust: For a simulated run: filter time, loads at the hub, factor on the thrust.
+        noise: For a simulated run: voltage added to each reading, shape (cells, rows).
+        path, lines: For a measured run: file, and line number of each row.
     """
 
     label: str
@@ -74,7 +74,7 @@ class Recording:
 
 
 def commands(test: Any, bench: Bench, step: float) -> list[Recording]:
-    """Return each different run of a test, without readings.
+    """Return all different runs of a test, with commands only.
 
     Commands are linear between phases; two phases at the same time make a step.
     """
@@ -130,7 +130,7 @@ def _noise(protocol: Protocol, rng: np.random.Generator, rows: int, *, tare: boo
 
 
 def load_runs(protocol: Protocol, seed: int) -> dict[str, list[Recording]]:
-    """Return for each cell the calibration runs, one per load, with random errors of the loads."""
+    """Return cell → calibration runs, one per load, with random errors of the loads."""
     by_channel, step = dict[str, list[Recording]](), protocol.file.step
     time = np.asarray(step * np.arange(round(LOAD_TIME / step) + 1), dtype=np.float64)
     duty, servo_duty, height = (np.full_like(time, value) for value in (REST_DUTY, NEUTRAL_DUTY, FREE_HEIGHT))
@@ -154,10 +154,11 @@ def play_on_fmu(
 ) -> list[Recording]:
     """Simulate runs one after another on an FMU with the bench's variables.
 
-    Row k has the reading at t_k and the command from t_k. The noise belongs to the reading at the end of a step.
+    Row k contains the reading at t_k and the command that acts from t_k on. Noise is added to the reading at the end of
+    a step.
 
     Args:
-        progress: Function of the completed rows of all runs.
+        progress: Function that is called with the number of completed rows of all runs.
     """
     own, cells = [q.name for q in Bench.inputs], [f"volts_{c}" for c in CELL_UNITS]
     block = RestartableFmu("bench", fmu, read_description(fmu), {}, frozenset(own))
@@ -172,7 +173,7 @@ def play_on_fmu(
         for run in runs:
             time, values = run.time.tolist(), {"thrust_factor": run.thrust, "filter_time": run.low_pass}
             block.restart({**parameters, **values}, time[0], time[-1])
-            # row k holds the inputs, with reading noise, of the step that ends at t_k
+            # row k contains the inputs, with reading noise, of the step that ends at t_k
             before, loads = np.maximum(np.arange(len(time)) - 1, 0), (np.full(len(time), load) for load in run.loads)
             commanded = (run.duty[before], run.servo_duty[before], run.height, *loads, *run.noise)
             volts, step = [], run.step
@@ -202,9 +203,9 @@ def read_recording(path: Path) -> Recording:
     """Read a measured run with all bench columns; single missing rows of an even clock are filled in.
 
     Raises:
-        InputError: Every fault of the file.
+        InputError: The file has faults, all of which the error names.
     """
-    log = read_log(path, COLUMNS, ())  # readings are as complete as commands
+    log = read_log(path, COLUMNS, ())  # readings must be as complete as commands
     spacing, number = np.diff(log.time), log.grid
     row, step = int(np.argmax(spacing)) + 1, float(np.median(spacing))
     if spacing.max() > MAX_SPACING * step:
@@ -221,7 +222,7 @@ def read_recording(path: Path) -> Recording:
 
 # -- load cells ---------------------------------------------------------------------------
 
-RAIL_STEPS = 1.5  # converter steps from the end of the range within which a reading is saturated
+RAIL_STEPS = 1.5  # a reading within this many converter steps of the end of the range is saturated
 RAIL_SLACK = 0.01  # share of the range that a voltmeter may exceed
 MIN_CURVE_POINTS = 3  # points of a curve
 RAIL_ERRORS = 3.0  # distance of a point from the rail in standard errors, so that chance selects no points
@@ -243,7 +244,7 @@ class Cell:
 
     @cached_property
     def curve(self) -> Any:
-        """Return load as a function of voltage."""
+        """Return a function from voltage to load."""
         if self.smooth:
             middle = float(self.volts.mean())
             cubic = np.polyfit(self.volts - middle, self.loads, min(3, self.volts.size - 2))
@@ -254,7 +255,7 @@ class Cell:
 
     @cached_property
     def zero(self) -> float:
-        """Return the voltage of zero load on the curve."""
+        """Return the voltage at which the curve has zero load."""
         return float(self.volts_of(np.zeros(1), np.linspace(self.volts[0], self.volts[-1], 4001))[0])
 
     def volts_of(self, forces: Array, grid: Array) -> Array:
@@ -294,7 +295,7 @@ Cells = Mapping[str, Cell]
 
 
 def at_rail(bench: Bench, volts: Array, margin: Array | float = 0.0) -> Flags:
-    """Return True for readings at a limit of the converter: saturated, or closer than `margin` [V]."""
+    """Return True for readings that are saturated, or closer to a limit of the converter than `margin` [V]."""
     least = np.maximum(RAIL_STEPS * bench.converter_range / bench.converter_levels, margin)
     result: Flags = (volts <= least) | (volts >= bench.converter_range - least)
     return result

@@ -40,7 +40,7 @@ def page(
     """Return the self-contained page of an identification.
 
     Args:
-        path: Protocol.
+        path: Path of the protocol.
         recordings: Description of the data, such as `3 logs`.
         calibrated: Channel, cell, load unit in N or N m, and name of the unit.
     """
@@ -86,7 +86,7 @@ def page(
 
 
 def _shown(e: Estimate) -> dict[str, Any]:
-    """Return the numbers of an estimate as text; the half-width of the interval determines the digits."""
+    """Return the numbers of an estimate as texts; the half-width of the interval determines the number of digits."""
 
     def number(value: float, like: float) -> str:
         if not np.isfinite(value):

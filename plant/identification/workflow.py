@@ -72,7 +72,7 @@ class Outcome:
 
     @property
     def warnings(self) -> list[str]:
-        """Return the warnings, preceded by their test's name."""
+        """Return the warnings, each with the name of its test."""
         return [f"{r.test}: {message}" for r in self.results for message in r.warnings]
 
     @property
@@ -114,7 +114,7 @@ def identify(
         Results of the tests with their intervals, or estimates of noise and friction.
 
     Raises:
-        InputError: Every fault of the protocol and its recordings.
+        InputError: The protocol or its recordings have faults; the error names all of them.
     """
     path = Path(path)
     with new_run(out, "", "cosim identify", force=force) as place:
@@ -161,10 +161,10 @@ def identify(
 def check_protocol(path: Path, checking: Checking) -> list[str]:
     """Return the warnings of a protocol.
 
-    Measured recordings are analysed, so that impossible numbers are faults as in `identify`.
+    Measured recordings are analysed, so that impossible results are faults, as in `identify`.
 
     Raises:
-        InputError: Every fault of the protocol, or of logs of a craft.
+        InputError: The protocol, or logs of a craft, have faults; the error names all of them.
     """
     if read_craft(path) is not None:
         return []
@@ -183,7 +183,7 @@ def prepare(path: Path) -> tuple[Protocol, Model, dict[str, list[Recording]]]:
     """Read a protocol, the model whose parameters it identifies, and the measured recordings by test.
 
     Raises:
-        InputError: Every fault of the protocol, else of the recordings, else of the model.
+        InputError: All faults of the protocol; if it has none, of the recordings; if they have none, of the model.
     """
     protocol = read_protocol(path)
     refuse(planned_faults(protocol))
@@ -238,7 +238,7 @@ def _recorded(
 def analyse(protocol: Protocol, cells: Cells, recordings: Recordings) -> list[Result]:
     """Return the results in order of dependence.
 
-    Required numbers come from earlier tests; without them, from the protocol.
+    Numbers that a test needs come from earlier tests or, without these, from the protocol.
     """
     bench, truth = protocol.bench, protocol.bench if protocol.file.bench == OWN_BENCH else None
     if truth is not None:  # estimated parameters must not be known
@@ -260,7 +260,7 @@ def analyse(protocol: Protocol, cells: Cells, recordings: Recordings) -> list[Re
 
 
 def _powertrain(protocol: Protocol, outcome: Outcome, model: Any) -> str:
-    """Return a model.yaml with every identified number, its interval and origin, and the duty of equal thrust."""
+    """Return a model.yaml with all identified numbers, intervals and origins, and the duty that gives equal thrust."""
     declared = {p.name for p in model.parameters}
     values = {n: v for n, v in protocol.file.parameters.items() if n in declared}
     chosen = dict[str, Estimate]()

@@ -1,1 +1,1 @@
-"""Posterior, verdict and sentence of a refinement."""
+"""Posterior probabilities, verdict and sentences of a refinement."""

@@ -1,4 +1,4 @@
-"""What a verdict depends on, from the fitted hypotheses of a search: their evidence, equivalences and lack of fit."""
+"""What a verdict depends on: evidence, equivalences and lack of fit of the fitted hypotheses."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ COMPARED = 5  # classes of which equivalences are sought
 def evidence(search: Search, h: Hypothesis) -> Evidence:
     """Return the evidence of a fitted hypothesis, from the cache if possible.
 
-    Noise levels are integrated out by Schur complement; a level that the likelihood pushes beyond its limit is fixed.
+    Noise levels are integrated out (Schur complement); a level at a limit is fixed.
     """
     known = search.evidences.get(h.key)
     if known is not None and known[0] is h:
@@ -87,7 +87,7 @@ def evidence(search: Search, h: Hypothesis) -> Evidence:
         gradients=np.stack([np.bincount(block, row, len(logs)) for row in moved], axis=1)
         if count
         else np.zeros((len(logs), 0)),
-        informations=project.T @ informations @ project,  # positive semidefinite for each log
+        informations=project.T @ informations @ project,  # makes the matrix of each log positive semidefinite
         logs=logs,
     )
     search.evidences[h.key] = h, found
@@ -95,14 +95,14 @@ def evidence(search: Search, h: Hypothesis) -> Evidence:
 
 
 def prior_of(search: Search, h: Hypothesis, f: Free) -> Parameter:
-    """Return a free parameter of a fit with its prior."""
+    """Return a free parameter of a fit, with its prior, for the posterior."""
     subject, problem = search.subject, search.problem
     value, low = float(h.fit.values[f.name]), max(f.low, h.fit.values.get(f.above, f.low))
     if f.prior:
         return Parameter(f.name, "", value, *f.prior, low=low, high=f.high)
     of = next((c for c in h.candidates if f.name in c.parameters), None)
     part, given = of.name if of else "", float(problem.values[f.name])
-    if of and f.name in of.repeats[:1]:  # every period is equally probable: this normal prior has their density
+    if of and f.name in of.repeats[:1]:  # every period is equally probable: the normal prior has the same density
         width = of.among * math.sqrt(2.0 * math.pi) * f.size
         return Parameter(f.name, part, value, of.starts[0].get(f.name, given), width, low=low, high=f.high)
     if f.name in {p.name for p in subject.parameters}:
@@ -115,12 +115,12 @@ def prior_of(search: Search, h: Hypothesis, f: Free) -> Parameter:
 
 
 def sizes_of(search: Search, h: Hypothesis, c: Candidate) -> list[Parameter]:
-    """Return the sizes of a part with their priors."""
+    """Return the parameters of a part (candidate in a hypothesis) with their priors."""
     return [p for p in (prior_of(search, h, f) for f in c.free) if p.is_size]
 
 
 def families(candidates: Sequence[Candidate]) -> dict[str, str]:
-    """Return rich candidate → its special case; terms of an FMU have it at the same place."""
+    """Return candidate → candidate that is its special case; for terms of an FMU, at the same place."""
     found = {}
     for rich in candidates:
         for simple in candidates:
@@ -134,11 +134,11 @@ def families(candidates: Sequence[Candidate]) -> dict[str, str]:
 def optima(search: Search) -> list[Hypothesis]:
     """Return the hypotheses that were fitted to the end and to an optimum.
 
-    A fit that is worse than that of a subset of its parts has stopped far from its optimum. An expansion there promises
-    any gain.
+    A fit that is worse than the fit of a subset of its parts has stopped far from its optimum, where the evidence is
+    meaningless.
 
     Raises:
-        SimulationError: There is none, since no fit has a finite likelihood.
+        SimulationError: No fit has a finite likelihood.
     """
     ended = [h for h in search.tried.values() if h.ended]
 
@@ -153,9 +153,9 @@ def optima(search: Search) -> list[Hypothesis]:
 
 
 def bundle_of(search: Search) -> Bundle:
-    """Return the bundle of a search's hypotheses, without lack of fit.
+    """Return the bundle for the hypotheses of a search, without lack of fit.
 
-    Equivalent are hypotheses that act alike for every input, of those that are probable.
+    Among the probable hypotheses, those with equal predictions for every input are listed as equivalent.
     """
     evidences = [evidence(search, h) for h in optima(search)]
     sets, _ = posterior(evidences, len(search.candidates))
@@ -171,15 +171,15 @@ def bundle_of(search: Search) -> Bundle:
 
 
 def beside_unnamed_terms(search: Search, h: Hypothesis, together: Fit, kappa: float, count: int) -> dict[str, float]:
-    """Return part → its probability beside unnamed terms.
+    """Return part → probability of the part when unmodelled dynamics are fitted too.
 
-    With the likelihood N(a, V) of its sizes, a from the value without effect, and their prior N(0, T), the Bayes factor
-    is N(a; 0, V + T)/N(a; 0, V), the ratio of the densities of prior and posterior at no effect (Dickey 1971, Annals of
-    Mathematical Statistics 42:204).
+    Let a be the estimated sizes of the part, relative to no effect, V their covariance and N(0, T) their prior. The
+    Bayes factor is N(a; 0, V + T)/N(a; 0, V), the ratio of the densities of prior and posterior at no effect (Dickey
+    1971, Annals of Mathematical Statistics 42:204).
 
     Args:
-        together: Fit of the hypothesis with the terms.
-        count: Number of parts on trial.
+        together: Fit of the hypothesis together with the unmodelled dynamics.
+        count: Number of candidates.
     """
     covariance, names = kappa * inverse(together.information), [f.name for f in together.free]
     odds = log_prior(len(h.candidates), count) - log_prior(len(h.candidates) - 1, count)
@@ -196,17 +196,18 @@ def beside_unnamed_terms(search: Search, h: Hypothesis, together: Fit, kappa: fl
 
 
 def _log_density(x: Array, covariance: Array) -> float:
-    """Return ln of the density N(x; 0, covariance), without its constant."""
+    """Return the logarithm of the normal density N(x; 0, covariance), without the constant."""
     return -0.5 * float(x @ inverse(covariance) @ x) - 0.5 * float(np.linalg.slogdet(covariance)[1])
 
 
 def chance_of(problem: Problem, leftover: Leftover, alone: Fit) -> float:
-    """Return the probability that unnamed terms improve a fit as much by chance.
+    """Return the probability that unmodelled dynamics improve a fit by chance as much as they do.
 
-    It is that of χ² for the best of all terms tried (Bonferroni), or that of as steady a gain over blocks of time.
+    The probability is that of the χ² test for the best of all tried terms (Bonferroni) or, if larger, that of the gain
+    relative to its scatter over blocks of time.
 
     Args:
-        problem: With unnamed terms.
+        problem: Problem with unmodelled dynamics in the kernel.
         alone: Fit without these terms.
     """
     if leftover.fit is None:
@@ -216,11 +217,11 @@ def chance_of(problem: Problem, leftover: Leftover, alone: Fit) -> float:
 
 
 def drifts(problem: Problem, f: Fit) -> dict[str, tuple[float, float]]:
-    """Return parameter → change from the first to the last row of each log, and the probability of its gain by chance.
+    """Return parameter → (change from first to last row of each log, probability of the gain by chance).
 
     A parameter changes as P(t) = h₁·t + h₂·(3t² − 1)/2, t from −1 to 1 over each log (Nyblom 1989, J. Am. Stat. Assoc.
-    84:223, tests for changes of any kind). To first order, that moves the innovations by P·∂e, with the other
-    parameters and the noise at their optimum beside it. The probability is as in `chance_of`.
+    84:223, tests for changes of any kind). To first order, the innovations change by P·∂e; the other parameters and the
+    noise are re-optimised. The probability is as in `chance_of`.
     """
     at = slopes(problem, f)
     scored, gradients, covariance = at.scored, at.gradients, inverse(at.information)
@@ -255,11 +256,11 @@ def misfit_of(
     """Return the lack of fit of a hypothesis.
 
     Args:
-        by_chance: Probability of the gain of unnamed terms, or of a parameter that changes.
+        by_chance: Probability by chance of the gain of unmodelled dynamics, or of a parameter that changes.
         moves: Forced state → size of its unknown input relative to its derivative.
         errors: `before` and `after`: channel → error of replays with the given model, and with the hypothesis.
         floor: Channel → noise floor of the hypothesis.
-        beside: Part → its probability beside unnamed terms.
+        beside: Part → probability when unmodelled dynamics are fitted too.
     """
     before, after = errors["before"], errors["after"]
     known = {n: f for n, f in floor.items() if f > 0.0 and n in after and math.isfinite(before.get(n, math.nan))}
@@ -273,15 +274,15 @@ def misfit_of(
     )
 
 
-# Scatter of gains and estimates over blocks of time and over logs, and predictions of logs left out.
+# Scatter of gains and estimates over blocks of time and over logs, and predictions of held-out logs.
 #
 # A likelihood assumes white residuals; residuals of a real system are correlated. The scatter of a gain and of an
 # estimate is therefore computed from the same blocks of time as the dispersion of the likelihood,
 #
 #     cov θ̂ = F⁻¹ (Σ s_b s_b') F⁻¹      s_b: score of block b
 #
-# (White 1982), that of a gain as in `gain_per_chance`. On a held-out log, what the other logs say of a parameter is its
-# prior. Each hypothesis predicts in open loop from its own filtered state.
+# (White 1982), that of a gain as in `gain_per_chance`. For a held-out log, the estimate of a parameter from the other
+# logs is the prior. Each hypothesis predicts in open loop from its own filtered state.
 #
 
 
@@ -289,7 +290,7 @@ TIME_BLOCKS = 20  # blocks of time of a study
 
 
 def blocks_of_time(rows: Sequence[Rows]) -> tuple[Rows, Rows]:
-    """Return the block of each measurement, and the log of each block; blocks last about equally long.
+    """Return the block of each measurement, and the log of each block; blocks have about equal duration.
 
     Args:
         rows: Row of each measurement, log by log.
@@ -304,10 +305,10 @@ def blocks_of_time(rows: Sequence[Rows]) -> tuple[Rows, Rows]:
 
 
 def steadiness(problem: Problem, better: Fit, worse: Fit, other: Problem | None = None) -> float:
-    """Return the likelihood gain of a fit over another one, divided by the scatter of the gain by chance.
+    """Return z: the likelihood gain of one fit over another, divided by the scatter of the gain by chance.
 
     Args:
-        other: Problem of the better fit, if it has other inputs.
+        other: Problem of the better fit, if it differs in inputs.
     """
     scored = (other or problem).score(better.values, better.noise)
     before = problem.score(worse.values, worse.noise)
@@ -318,15 +319,15 @@ def steadiness(problem: Problem, better: Fit, worse: Fit, other: Problem | None 
 
 
 def gain_per_chance(block: Rows, worse: Scored, better: Scored, constant: float = 0.0) -> float:
-    """Return a likelihood gain divided by its scatter about the gain that the better fit expects.
+    """Return z: a likelihood gain divided by its scatter about the gain that the better fit predicts.
 
-    Excitation is given: an effect that acts in few blocks gains there only, and that is no chance. Chance is the
-    difference of the gain g_b of a block from the Kullback-Leibler divergence k_b of both predictions,
+    The excitation is taken as given: that an effect acts in few blocks only is not chance. Chance is the difference
+    between the gain g_b of a block and the Kullback-Leibler divergence k_b of both predictions:
 
         z = Σ g_b / √(Σ ((g_b − k_b)/(1 − h_b))²)      h_b = k_b/Σ k_b
 
-    The factor 1/(1 − h_b) is that of the jackknife over blocks; a gain in a single block would have no scatter without
-    it (CV3 of MacKinnon, Nielsen and Webb 2023, J. Appl. Econometrics 38:671).
+    The factor 1/(1 − h_b) comes from the jackknife over blocks; without it, a gain in a single block would have no
+    scatter (CV3 of MacKinnon, Nielsen and Webb 2023, J. Appl. Econometrics 38:671).
     """
     gain = constant + worse.nll - better.nll
     if not math.isfinite(gain):  # a filter diverged
@@ -351,19 +352,19 @@ def fit_without(search: Search, problem: Problem, h: Hypothesis, log: int) -> Fi
 
 
 def fits_without_each_log(search: Search, h: Hypothesis) -> list[Fit]:
-    """Return the fits of a hypothesis to all logs except one each; that to a single log."""
+    """Return the fit of a hypothesis without each log in turn; with a single log, the fit to it."""
     logs = range(len(search.problem.logs))
     return [h.fit] if len(logs) == 1 else [fit_without(search, search.problem, h, k) for k in logs]
 
 
 def held_out_errors(search: Search, h: Hypothesis | None, given: Fit) -> Array:
-    """Return ln of the open-loop RMSE of each log, mean over the outputs, by fits to the other logs.
+    """Return, for each held-out log, the logarithm of the open-loop RMSE (mean over outputs) by a fit to the others.
 
-    A single log is halved.
+    A single log is divided into two halves.
 
     Args:
         h: The hypothesis; None for the given model.
-        given: Fit of the base model, for the parameters per log of the given one.
+        given: Fit of the base model, which has the parameters per log for the given model.
     """
     problem = search.problem if len(search.problem.logs) > 1 else halve_log(search.problem)
     found = []
@@ -372,7 +373,7 @@ def held_out_errors(search: Search, h: Hypothesis | None, given: Fit) -> Array:
         errors = replay_errors(problem, search.subject.horizon, f, k)
         with np.errstate(over="ignore"):
             sums, counts = np.nansum(errors**2, axis=(0, 1)), (~np.isnan(errors)).sum(axis=(0, 1))
-        seen = (counts > 0) & (sums > 0.0)  # not an output without readings in this log
+        seen = (counts > 0) & (sums > 0.0)  # ignores outputs without readings in this log
         found.append(float(np.mean(0.5 * np.log(sums[seen] / counts[seen]))) if seen.any() else math.inf)
     return np.array(found)
 
@@ -380,11 +381,11 @@ def held_out_errors(search: Search, h: Hypothesis | None, given: Fit) -> Array:
 def replay_errors(problem: Problem, horizon: float, f: Fit, index: int) -> Array:
     """Return measurement − open-loop prediction of a log, shape (replays, rows, outputs).
 
-    NaN stands for a missing measurement, infinity for a prediction that diverges.
+    NaN marks a missing measurement, infinity a diverging prediction.
 
-    Consecutive replays last one horizon of the model, at most half of the log, or a part of the log for a model judged
-    by a free run, from the states that the filter estimates. A library begins at the start of a log only; its one free
-    run is cut into as many.
+    Consecutive replays start from filtered states and last one horizon of the model, at most half of the log. For a
+    model whose horizon is a free run, they last a part of the log. A co-simulation FMU starts only at the beginning of
+    a log; its free run is divided into these parts.
     """
     raise_if_cancelled()
     data, first = problem.data(f.values, index), count_unscored(problem.logs[index])
@@ -408,22 +409,22 @@ def replay_errors(problem: Problem, horizon: float, f: Fit, index: int) -> Array
 
 
 def noise_gains(problem: Problem, f: Fit) -> list[float]:
-    """Return the log-likelihood gain of each unknown input."""
+    """Return the log-likelihood gain due to each unknown input."""
     smallest = problem.noise.smallest
     without = np.where(np.eye(len(smallest), dtype=bool), smallest, f.noise.power)
     return [problem.score(f.values, replace(f.noise, power=power)).nll - f.nll for power in without]
 
 
 def unknown_input_gain(problem: Problem) -> float:
-    """Return the log-likelihood gain from which an equation has an unknown input, ½ ln N (half of BIC)."""
+    """Return the log-likelihood gain above which an equation has an unknown input: ½ ln N (half of BIC)."""
     return 0.5 * math.log(max(2, problem.samples))
 
 
 def fit_given_model(problem: Problem, base: Fit, left_out: int | None = None) -> Fit:
-    """Fit the unknown inputs of the given model, and its parameters per log.
+    """Return the given model with fitted unknown inputs and parameters per log.
 
-    Parameters per log come from all logs, or from all but `left_out`. The noise must be refitted: a filter that trusts
-    the given model as much as the recalibrated model would not follow the measurements.
+    Parameters per log are fitted to all logs, or all but `left_out`. The noise must be fitted again: with the noise of
+    the recalibrated model, the filter would not follow the measurements.
     """
     others = [k for k in range(len(problem.logs)) if k != left_out]
     fixed = fit(problem, (), problem.values, base.noise, others, SCREEN_ITERATIONS, sensing=False)
@@ -435,12 +436,12 @@ def fit_given_model(problem: Problem, base: Fit, left_out: int | None = None) ->
 
 
 def with_intervals(search: Search, h: Hypothesis) -> Hypothesis:
-    """Return the hypothesis with the covariance of its estimates: scatter over blocks of time, and from log to log.
+    """Return the hypothesis with the covariance of its estimates, from scatter over blocks of time and over logs.
 
-    An estimate without one log should differ from the estimate of all by N(0, σ₋ₖ² − σ²) (Hausman 1978). The variance
-    grows by the ratio of these squared differences to their expectation, if above 1 (Birge 1932). For logs that say
-    equally much this is the jackknife; a log that says nothing of a parameter does not widen its interval. A single log
-    is halved.
+    An estimate without one log should differ from the estimate with all logs by N(0, σ₋ₖ² − σ²) (Hausman 1978). The
+    variance is multiplied by the ratio of these squared differences to their expectation, if above 1 (Birge 1932). For
+    equally informative logs this is the jackknife; a log without information on a parameter does not widen its
+    interval. A single log is divided into two halves.
     """
     at_fit = slopes(search.problem, h.fit)
     block, _ = blocks_of_time(at_fit.scored.of_each_log(at_fit.scored.rows))
@@ -459,10 +460,10 @@ def with_intervals(search: Search, h: Hypothesis) -> Hypothesis:
 
 
 def _variance_with_logs(f: Fit, fits: Sequence[Fit], name: str) -> float:
-    """Return the variance of an estimate from its differences to the estimates without each log.
+    """Return the variance of an estimate, from its differences to the estimates without each log in turn.
 
-    If the information of n logs adds up, the expectation is least for equal logs, σ²·n/(n − 1). An expectation below
-    that is a matter of the noise that each fit estimates for itself; the variance is at most that of the jackknife.
+    For n logs whose information adds up, the expected squared differences sum to at least σ²·n/(n − 1). They can be
+    smaller because each fit estimates its own noise; the variance is then at most that of the jackknife.
     """
     variance, n = f.sigma(name) ** 2, len(fits)
     expected = max(variance * n / (n - 1), sum(max(0.0, other.sigma(name) ** 2 - variance) for other in fits))
@@ -470,21 +471,22 @@ def _variance_with_logs(f: Fit, fits: Sequence[Fit], name: str) -> float:
     return variance * moved / expected if expected > 0.0 else 0.0
 
 
-# Hypotheses that act alike for every input, so that no experiment can separate them.
+# Observationally equivalent hypotheses, which have equal predictions for every input, so that no experiment can
+# separate them.
 #
-# A settable damping of an FMU and the viscous term of the catalogue at the same velocity are one thing with two
-# names. Both are simulated along random inputs, at the estimated size and enlarged. The parameters of one hypothesis,
-# and the base parameters within their tolerances, adapt to the predictions of the other. They act alike if nothing is
-# left.
+# For example, a settable damping of an FMU and the viscous term of the catalogue at the same velocity are the same.
+# Both are simulated with random inputs, at the estimated and at larger sizes. The parameters of one hypothesis, and the
+# base parameters within their tolerances, are fitted to the predictions of the other. The hypotheses are equivalent if
+# no difference remains.
 
 
-ENLARGED = max(MIXTURE)  # factor on the ranges of inputs, and least factor on the sizes of effects
+ENLARGED = max(MIXTURE)  # factor on the ranges of inputs, and smallest factor on the sizes of effects
 
 
 def act_alike(search: Search, one: Hypothesis, other: Hypothesis) -> bool:
-    """Return True if two hypotheses predict the same for inputs and sizes beyond those of the logs.
+    """Return True if two hypotheses have equal predictions, also for inputs and sizes beyond those of the logs.
 
-    The hypothesis with fewer parameters adapts, because one with more could imitate the other.
+    The hypothesis with fewer parameters is fitted, because one with more parameters could imitate the other.
     """
     problem = search.problem
     if not problem.late.keys().isdisjoint(one.parameters + other.parameters):
@@ -497,14 +499,14 @@ def act_alike(search: Search, one: Hypothesis, other: Hypothesis) -> bool:
 
 
 def _is_imitated(search: Search, truth: Hypothesis, adapted: Hypothesis, times: float) -> bool:
-    """Return True if a hypothesis can adapt to the predictions of another one, both with enlarged effects.
+    """Return True if a hypothesis can be fitted to the predictions of another one, both with enlarged effects.
 
-    Base parameters adapt within one tolerance beyond those of the fit.
+    Base parameters vary within one tolerance around their fitted values.
     """
     problem = search.problem
     given = {**truth.fit.values, **{n: problem.values[n] for n in truth.parameters}}
     sigma = np.exp(0.5 * problem.plain.sensors)
-    for both_signs in (True, False):  # an FMU may fail with inputs of a sign that it never gets
+    for both_signs in (True, False):  # an FMU may fail with inputs of a sign that does not occur in the logs
         data = _exciting(problem, min(times, ENLARGED), both_signs=both_signs)
         wanted = _outputs(problem, data, given | _enlarged(truth, problem, times))
         without = _outputs(problem, data, given)
@@ -531,7 +533,7 @@ def _is_imitated(search: Search, truth: Hypothesis, adapted: Hypothesis, times: 
 
 
 def _enlarged(h: Hypothesis, problem: Problem, times: float) -> dict[str, float]:
-    """Return the parameters of the candidates with enlarged effects, within their limits; shapes stay."""
+    """Return the candidates' parameters with enlarged sizes, within their limits; other parameters are unchanged."""
     values = {}
     for c in h.candidates:
         for f in c.free:
@@ -545,11 +547,11 @@ def _enlarged(h: Hypothesis, problem: Problem, times: float) -> dict[str, float]
 
 
 def _exciting(problem: Problem, times: float, *, both_signs: bool) -> Data:
-    """Return a log with levels of random duration over the ranges of the inputs.
+    """Return a log whose inputs have random levels, of random duration, within their ranges.
 
     Args:
         times: Factor on the ranges.
-        both_signs: Let inputs with one sign have the other one, too, since a threshold at zero shows there only.
+        both_signs: Let inputs change sign even if they do not in the logs, since only this shows a threshold at zero.
     """
     first = problem.logs[0].rows(0, MAX_SMOOTHED_ROWS)
     rng, rows = np.random.default_rng(0), len(first.u)
@@ -566,7 +568,7 @@ def _exciting(problem: Problem, times: float, *, both_signs: bool) -> Data:
 
 
 def _outputs(problem: Problem, data: Data, values: NamedValues) -> Array:
-    """Return noise-free readings from the start of the first log, shape (rows, outputs); NaN if the FMU fails."""
+    """Return simulated readings without noise from the start of the first log, shape (rows, outputs), or NaN."""
     lags = problem.in_rows(problem.lagging, values, 0)
     try:
         run = problem.simulate(values, 0, data=data)
@@ -575,15 +577,15 @@ def _outputs(problem: Problem, data: Data, values: NamedValues) -> Array:
     return lagged_table(run.outputs, np.array([lags.get(k, 0.0) for k in range(data.y.shape[1])]))
 
 
-# Comparison of held and interpolated inputs between rows, and of inputs taken earlier, by their likelihood.
+# Comparison, by likelihood, of inputs that are held and interpolated between rows, and of inputs that act earlier.
 #
-# With even prior odds, another way is told if its probability is that of a claimed part, and its gain is no chance
-# over blocks of time.
+# With even prior odds, another use of inputs is reported if its probability is that required of a claim, and if its
+# gain is not due to chance over blocks of time.
 
 
 @dataclass(frozen=True)
 class OtherInputs:
-    """Log-likelihood gain of inputs taken another way, with a warning if they are clearly likelier."""
+    """Log-likelihood gain of another use of inputs, with a warning if this use is clearly more likely."""
 
     gain: float
     warning: str = ""
@@ -607,10 +609,10 @@ def between_rows(problem: Problem, base: Hypothesis) -> OtherInputs:
 
 
 def late_input(problem: Problem, best: Hypothesis) -> OtherInputs | None:
-    """Return the input that is recorded late, as behind a filter of its own; None without one.
+    """Return the gain and a warning if an input seems to be recorded late, as after a filter; otherwise None.
 
-    No candidate takes an input earlier than recorded. The best hypothesis is refitted with each input earlier, by one
-    row and by twice as many as long as that is likelier.
+    No candidate lets an input act earlier than recorded. The best hypothesis is therefore fitted with each input
+    shifted by one row, then by twice as many rows as long as the likelihood increases.
     """
     late: OtherInputs | None = None
     shortest, step = min(len(data.u) for data in problem.logs), problem.logs[0].step
@@ -635,8 +637,8 @@ def late_input(problem: Problem, best: Hypothesis) -> OtherInputs | None:
 
 
 def _gain_of(problem: Problem, h: Hypothesis, other: Problem) -> tuple[float, str]:
-    """Return the gain of a hypothesis by a refit to other inputs, and the gain in words if it is no chance, else ""."""
-    # Unknown inputs start large enough to move, because inputs that compensated the wrong choice converge slowly.
+    """Return the gain of a hypothesis by a fit with other inputs, and a phrase on it if it is not due to chance."""
+    # Unknown inputs start at a large level, because inputs that compensated the wrong choice converge slowly.
     refit = fit(other, h.fit.free, h.fit.values, other.plain)
     gain, steady = h.fit.objective - refit.objective, steadiness(problem, refit, h.fit, other)
     if gain <= float(logit(CERTAIN)) or float(ndtr(-steady)) >= MISFIT:

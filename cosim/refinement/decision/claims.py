@@ -1,4 +1,4 @@
-"""`Claims`: what a study claims, what its report is written from, and its sentence.
+"""`Claims`: the claims of a study, with the data for its report, and their sentences.
 
 Each sentence names at most three things; refine.json and the report list all of them.
 """
@@ -70,20 +70,20 @@ OPENINGS = {"effect": "the model lacks", "parameter": "the model has a wrong", "
 
 @dataclass(frozen=True, eq=False)
 class Claims:
-    """What a study claims."""
+    """The claims of a study, and the data for its report."""
 
     bundle: Bundle  # what the decision depends on
     decision: Decision
     base: Hypothesis  # the recalibrated model
-    claimed: Hypothesis | None  # delivered as refined, with intervals; None without a certain part
-    nearest: Hypothesis | None  # delivered as nearest; None for the given model, or with a complete claim
-    tried: Sequence[tuple[Hypothesis, float]]  # with log posterior odds to the recalibrated model, best first
+    claimed: Hypothesis | None  # delivered as refined model, with intervals; None without a claim
+    nearest: Hypothesis | None  # delivered as nearest model; None for the given model or a complete claim
+    tried: Sequence[tuple[Hypothesis, float]]  # with log posterior odds relative to the recalibrated model, best first
     experiment: str  # input that separates the rivals
-    equivalent: Sequence[Sequence[str]]  # groups of names that act alike for every input
+    equivalent: Sequence[Sequence[str]]  # groups of names with equal predictions for every input
     residual: Mapping[str, Any]  # deficient equation, its signals and process noise
     moves: NamedValues  # forced state → size of its unknown input relative to its derivative
     hidden: Sequence[str]  # effects that these logs cannot show
-    ladder: Sequence[tuple[Hypothesis | None, Any]]  # models with log errors on each log left out, given one first
+    ladder: Sequence[tuple[Hypothesis | None, Any]]  # models, given one first; log errors on held-out logs
 
     @property
     def name(self) -> Verdict:
@@ -92,7 +92,7 @@ class Claims:
 
     @property
     def grade(self) -> Grade:
-        """Return the completeness of the claim."""
+        """Return the grade: claimed, part or nearest."""
         return self.decision.grade
 
     @property
@@ -102,12 +102,12 @@ class Claims:
 
     @property
     def delivered(self) -> Hypothesis:
-        """Return the hypothesis that predicts best of what may be delivered, else the recalibrated model."""
+        """Return the delivered hypothesis: nearest model, else claim, else recalibrated model."""
         return self.claimed or self.nearest or self.base
 
     @property
     def claimed_candidates(self) -> tuple[Candidate, ...]:
-        """Return the claimed candidates, first those that are most probable alone."""
+        """Return the claimed candidates, sorted by their probability alone."""
         if self.claimed is None:
             return ()
         alone = {h.key: odds for h, odds in self.tried}
@@ -116,12 +116,12 @@ class Claims:
 
     @property
     def rivals(self) -> tuple[str, ...]:
-        """Return the rivals of an ambiguous verdict, `a + b` for two parts together."""
+        """Return the names of rivals of an ambiguous verdict; `a + b` is a set of two parts."""
         return tuple(text_of(parts) for parts in self.decision.rivals)
 
 
 def text_of(parts: Names) -> str:
-    """Return the name of a set of parts."""
+    """Return the name of a set of parts, such as `a + b`."""
     return TOGETHER.join(sorted(parts)) or NO_EFFECT
 
 
@@ -133,12 +133,12 @@ def sentence(
     *,
     is_written: bool,
 ) -> str:
-    """Return the verdict in words: the answer as the first sentence, a rise on sealed logs, what remains, remarks.
+    """Return the verdict as text: answer, rise of errors on sealed logs, remaining error, remarks.
 
     Args:
-        risen: Channel → error before and after, if it rises significantly on sealed logs.
+        risen: Channel → error before and after, for errors that rise significantly on sealed logs.
         remaining: Channel → share of the squared error above the noise floor that remains on sealed logs.
-        is_written: Whether files of the delivered subject are written.
+        is_written: True if files of the delivered subject are written.
     """
     name: Literal["refined", "nearest"] = "nearest" if c.claimed is None else "refined"
     file, nearest = subject.main_file(name), subject.main_file("nearest")
@@ -150,7 +150,7 @@ def sentence(
 
 
 def _answer_texts(c: Claims, subject: Subject) -> Iterator[str]:
-    """Yield the verdict, its first sentence complete in itself."""
+    """Yield sentences on the verdict; the first one can be read alone."""
     reasons, rivals = c.decision.reasons, c.decision.rivals
     claim, *details = _claim_texts(c, c.claimed, subject) if c.claimed is not None else ("",)
     if c.name == "ambiguous":
@@ -188,7 +188,7 @@ def _answer_texts(c: Claims, subject: Subject) -> Iterator[str]:
 
 
 def _joined(first: str, second: str) -> str:
-    """Return two sentences as one."""
+    """Return two sentences joined to one."""
     text = f"{first.removesuffix('.')}; {second}" if first and second else first or second
     return f"{text[:1].upper()}{text[1:]}"
 
@@ -209,7 +209,7 @@ def _claim_texts(c: Claims, best: Hypothesis, subject: Subject) -> list[str]:
 
 
 def _estimate_text(best: Hypothesis, f: Free, subject: Subject) -> str:
-    """Return a parameter with its 95 % interval, unless the interval is wider than the allowed range."""
+    """Return an estimate with its 95 % interval; without the interval if it is wider than the allowed range."""
     name, value, half = f.name.rpartition(".")[2], best.fit.values[f.name], NORMAL_95 * best.fit.sigma(f.name)
     unit = written(subject.declared[f.name].unit)
     if half > f.high - f.low:
@@ -223,14 +223,14 @@ def _estimate_text(best: Hypothesis, f: Free, subject: Subject) -> str:
 
 
 def rounded(value: float, half: float) -> str:
-    """Return a number with two digits of the half-width of its interval."""
+    """Return a number, rounded to two digits of the half-width of its interval."""
     if not (value and half and math.isfinite(half)):
         return f"{value:g}"
     return f"{value:.{max(2, math.ceil(math.log10(abs(value) / half)) + 2)}g}"
 
 
 def _rivals_text(c: Claims) -> str:
-    """Return a sentence on undecided rivals."""
+    """Return a sentence on the rivals."""
     rivals = c.decision.rivals
     common = frozenset[str].intersection(*rivals)
     names = {parts: join_names(sorted(parts - common)) or "nothing more" for parts in rivals}
@@ -244,7 +244,7 @@ def _rivals_text(c: Claims) -> str:
 
 
 def _unexplained_text(c: Claims) -> str:
-    """Return a sentence on the remaining error: the equation and the signal that the error follows, or the size."""
+    """Return a sentence on the remaining error: the equation and the signal it depends on, or its size."""
     over = c.decision.misfit.over_floor
     channel = max(over, key=lambda n: over[n], default="")
     if text := _misfit_text(c):
@@ -262,7 +262,7 @@ def _unexplained_text(c: Claims) -> str:
 
 
 def _misfit_text(c: Claims) -> str:
-    """Return what the remaining error follows, or "" if it follows nothing."""
+    """Return a phrase on the signals on which the remaining error depends; "" if there are none."""
     where, share, changing = c.residual["equation"], c.residual["share"], [*c.residual["changing"]]
     if c.residual["signals"]:
         part = f"{percent(share)} of the" if share and share > 0.0 else "the"
@@ -323,18 +323,18 @@ def _remark_texts(c: Claims, remaining: NamedValues, file: str, nearest: str) ->
 
 
 def error_text(subject: Subject, channel: str, error: float, like: float) -> str:
-    """Return an error of a channel in a unit for size `like`."""
+    """Return an error of a channel as text, in a unit that suits the size `like`."""
     unit, factor = finer(next((q.unit for q in subject.outputs if q.name == channel), ""), like)
     return append_unit(plain(error * factor), unit)
 
 
 def _sizes(channels: Mapping[str, tuple[float, float]], subject: Subject) -> dict[str, list[str]]:
-    """Return channel → two errors as text, in a unit for the second one."""
+    """Return channel → both errors as text, in a unit that suits the second one."""
     return {name: [error_text(subject, name, e, pair[1]) for e in pair] for name, pair in channels.items()}
 
 
 def _rise_text(errors: Mapping[str, tuple[float, float]], subject: Subject, file: str) -> str:
-    """Return a sentence on channels whose error rises on sealed logs; "" if no rise shows in the rounded values."""
+    """Return a sentence on channels whose error rises on sealed logs; "" if rounded values do not differ."""
     changes = {
         name: f"of {name} rises from {before} to {after}"
         for name, (before, after) in _sizes(errors, subject).items()
@@ -348,7 +348,7 @@ def _rise_text(errors: Mapping[str, tuple[float, float]], subject: Subject, file
 
 
 def floor_warning(part: str, channels: Mapping[str, tuple[float, float]], subject: Subject) -> str:
-    """Return a warning of a noise floor above the error.
+    """Return a warning about channels whose noise floor is above the error.
 
     Args:
         channels: Channel → floor and error.
@@ -361,7 +361,7 @@ def floor_warning(part: str, channels: Mapping[str, tuple[float, float]], subjec
     )
 
 
-# From the hypotheses of a search to claims: bundle, lack of fit, decision, and what is delivered.
+# From hypotheses to claims: bundle, lack of fit, decision, and choice of the delivered model.
 
 
 MAX_LADDER_CLASSES = 3  # classes on the ladder of predictions
@@ -419,16 +419,16 @@ def claims_of(study: Study, search: Search, progress: Progress) -> Claims:
     models = (None, base, *sorted(every.values(), key=lambda h: len(h.names)))
     ladder = [(h, held_out_errors(search, h, base.fit)) for h in models]  # by fits to the other logs
     nearest = None
-    if decision.grade != "claimed":  # the most probable class that predicts logs left out no worse than the given model
+    if decision.grade != "claimed":  # the most probable class with good predictions of held-out logs
         most = float(np.mean(ladder[0][1]))
         better = {h.key: h for h, error in ladder if h is not None and float(np.mean(error)) <= most}
         nearest = next((better[parts] for parts in decision.classes if parts in better), better.get(frozenset()))
     experiment, rivals = "", tuple(decision.rivals)
-    if rivals:  # parts common to all of them need none
+    if rivals:  # parts that all rivals share need no experiment
         names = frozenset[str]().union(*rivals) - frozenset[str].intersection(*rivals)
         shared, text = max(((len(row & names), text) for row, text in subject.told_apart_by.items()), default=(0, ""))
         experiment = text if shared > 1 else DEFAULT_EXPERIMENT
-    alike: dict[str, list[str]] = {}  # without what both sets contain
+    alike: dict[str, list[str]] = {}  # sets without their common parts
     for one, other in bundle.equivalent:
         own, other_names = text_of(one - other), text_of(other - one)
         alike.setdefault(own, [own]).append(other_names)
@@ -449,7 +449,7 @@ def claims_of(study: Study, search: Search, progress: Progress) -> Claims:
 
 
 def _delivered(decision: Decision, ranked: Sequence[Hypothesis]) -> Hypothesis | None:
-    """Return the most probable hypothesis with all claimed parts, and none beside them but base numbers.
+    """Return the most probable hypothesis that has all claimed parts and, apart from base parameters, no others.
 
     Args:
         ranked: Hypotheses, most probable first.
@@ -459,16 +459,17 @@ def _delivered(decision: Decision, ranked: Sequence[Hypothesis]) -> Hypothesis |
         return None
     nearest = next(h for h in ranked if h.key == decision.nearest)
     if decision.verdict == "ambiguous" and claimed <= decision.nearest:
-        return nearest  # the certain parts alone may fit worse than the given model
+        return nearest  # the claimed parts alone may fit worse than the given model
     numbers = {n for n in decision.uncertain if decision.verdict != "ambiguous"} - decision.disputed
     suited = (h for h in ranked if h.ended and claimed <= h.key <= claimed | numbers)
     return next(suited, nearest)
 
 
 def _unsure(search: Search, h: Hypothesis, families: Mapping[str, str]) -> Iterator[str]:
-    """Yield the parts of a hypothesis of which each size has an interval that holds the value without the part.
+    """Yield the parts of a hypothesis whose sizes all have intervals that contain the value without effect.
 
-    A rich part with a difference that its special case has not is unsure if the interval of that holds 0.
+    A part that generalises another one by a difference of two parameters is unsure if the interval of this difference
+    contains 0.
     """
     for c in h.candidates:
         above = [f for f in c.free if f.above] if c.name in families else []
@@ -482,10 +483,9 @@ def _unsure(search: Search, h: Hypothesis, families: Mapping[str, str]) -> Itera
 
 
 def _ranked(search: Search, bundle: Bundle, kappa: float) -> list[tuple[Hypothesis, float]]:
-    """Return the hypotheses with their log odds to the recalibrated model, most probable first.
+    """Return the hypotheses with log odds relative to the recalibrated model, most probable first.
 
-    Of a hypothesis without evidence, since it was only screened or stopped far from its optimum, the odds are those of
-    its score.
+    A hypothesis without evidence, because its fit was short or stopped far from the optimum, has odds from its score.
     """
     count, base = len(bundle.kinds), search.tried[frozenset()]
     weights = {e.parts: log_evidence(e, kappa) + log_prior(len(e.parts), count) for e in bundle.hypotheses}
@@ -495,7 +495,7 @@ def _ranked(search: Search, bundle: Bundle, kappa: float) -> list[tuple[Hypothes
 
 
 def _residual(problem: Problem, base: Fit, best: Fit, leftover: Leftover) -> dict[str, Any]:
-    """Return the deficient equation, the signals of the misfit and the process noise."""
+    """Return the entry `residual`: deficient equation, signals on which the residual depends, process noise."""
     densities = zip(problem.layout.forced, base.noise.density, best.noise.density, strict=False)
     noise = {
         equation: {

@@ -1,1 +1,1 @@
-"""Proof of refined FMUs by replays of the logs, sealed logs included."""
+"""Replays of all logs through the refined FMU, including sealed logs, which prove the result."""

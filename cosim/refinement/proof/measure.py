@@ -1,9 +1,9 @@
-"""Replay errors of a model on logs, the noise floor of these errors, and significant rises of them.
+"""Errors of replays, their noise floor, and significant increases of errors.
 
-Variants of a subject are compared: before, recalibrated, refined, nearest. Each replay starts from the filtered state
-and effect memory of the replayed model, from past data only, at the time of its first row, and lasts the model's
-horizon (2 s, or a free run). Errors are measured through the FMU. The noise floor needs dozens of runs and is measured
-through the kernel, which gives the same results.
+Variants of a subject are compared: before, recalibrated, refined, nearest. Each replay starts from the state and effect
+memory that a filter with the same variant estimates from past data only, and lasts the model's horizon (2 s, or a free
+run). Errors are measured through the FMU. The noise floor needs dozens of runs and is measured through the kernel,
+which gives the same results.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ class Variant:
 
     Attributes:
         values: All parameters of the kernel, including sensor errors and parameters per log.
-        free_noise: Noise with which a filter follows the readings, where that of the fit does not.
+        free_noise: Noise with which the filter follows the readings, if it does not with the fitted noise.
     """
 
     subject: Subject
@@ -80,25 +80,25 @@ class Variant:
 
 
 def log_noise(fitted: Noise, free: Noise | None) -> Noise:
-    """Return noise estimated from the logs.
+    """Return the noise of the logs, without errors of the model.
 
     Args:
-        free: Noise of a fit with free unknown inputs, if the fitted sensor noise includes model errors.
+        free: Noise of a fit with free unknown inputs, if the sensor noise in `fitted` includes model errors.
     """
     return fitted if free is None else replace(fitted, sensors=free.sensors)
 
 
 def variant_of(search: Search, subject: Subject, f: Fit) -> Variant:
-    """Return a subject with the noise and the parameters per log of a fit."""
+    """Return a subject with the noise and parameters per log of a fit."""
     of_groups = group_values(f, search.problem.settings.groups.values())
     return Variant(subject, {**subject.values, **of_groups}, f.noise, search.free_noise)
 
 
 def refined_variant(search: Search, h: Hypothesis) -> Variant:
-    """Return the subject with the fitted values of a hypothesis, and with the substeps of the fit if it needed more.
+    """Return the subject with the fitted values of a hypothesis, and with more substeps if the fit needed them.
 
     A claim of sensor errors alone changes only sensor parameters and parameters with a stated tolerance. A parameter
-    per log takes its mean.
+    with a value per log has the mean over the logs.
     """
     subject, problem = search.subject, search.problem
     fitted = {f.name: float(h.fit.values[f.name]) for f in h.fit.free if not f.group}
@@ -117,7 +117,7 @@ def refined_variant(search: Search, h: Hypothesis) -> Variant:
 def begin_replays(variant: Variant, problem: Problem, logs: Sequence[Log]) -> Problem:
     """Return the estimation problem of a variant for free runs over logs, with start states estimated for each log.
 
-    The kernel of `problem` takes all parameters, including those of the variant.
+    The kernel of `problem` has all parameters, including those of the variant.
     """
     return with_likely_starts(with_logs(variant.subject, problem, logs), variant.values, variant.noise)
 
@@ -127,7 +127,7 @@ def replay_logs(
 ) -> dict[float, ReplayedLogs]:
     """Return horizon → corrected logs and their replays.
 
-    The subject's own horizon comes first. On further horizons, a log on which an unstable FMU stops is skipped.
+    The subject's own horizon is first. For further horizons, a log on which an unstable FMU stops is skipped.
     """
     problem = begin_replays(variant, problem, logs)
     judged = variant.subject.horizon
@@ -150,18 +150,18 @@ def replay_logs(
 
 
 def rmse(evidence: ReplayedLogs) -> dict[str, float]:
-    """Return channel → RMSE pooled over the logs."""
+    """Return channel → RMSE over all logs together."""
     return pool_errors(replay.errors(log) for log, replay in evidence)
 
 
 class LogReplays:
-    """Replays of a log over a horizon by the kernel, and their starts, each filtered from past data.
+    """Replays of a log over a horizon by the kernel; a filter estimates their start states from past data.
 
-    A fit that trusts the equations has a filter that hardly follows the readings; replays within a log begin where one
-    that does follow them has arrived. A free run begins with the log.
+    The filter of a fit with trusted equations hardly follows the readings; replays within a log therefore start from a
+    filter with free unknown inputs. A free run starts with the log.
 
     Attributes:
-        first: Rows of the log where a replay starts; `rows`: the same in equal steps.
+        first: Rows of the log at which replays start. rows: The same rows, counted in equal steps.
     """
 
     def __init__(self, variant: Variant, problem: Problem, log: Log, index: int, horizon: float | None = None) -> None:
@@ -174,7 +174,7 @@ class LogReplays:
         self.filtered = problem.filter_causally(self.data, variant.values, noise, index, self.rows)
 
     def starts(self) -> dict[int, Start]:
-        """Return row → start of replay."""
+        """Return row → start of the replay."""
         problem, layout, starts = self.problem, self.problem.layout, {}
         for k, row in zip(self.first, self.rows, strict=True):
             here = problem.begin_replay(self.filtered, row)
@@ -199,7 +199,7 @@ class LogReplays:
         """Return the log without the modelled sensor errors.
 
         Args:
-            simulated: Output → simulated value, for sensors that depend on the past or on other outputs.
+            simulated: Output → simulated value, for sensor errors that depend on the past or on other outputs.
         """
         log, outputs = self.log, dict(self.log.outputs)
         for sensor in self.sensors(log.grid):
@@ -230,7 +230,7 @@ class LogReplays:
 
     @cached_property
     def predicted(self) -> Array:
-        """Return the outputs of the replays, NaN elsewhere."""
+        """Return the outputs of the replays, NaN in rows without prediction."""
         starts = {k: self.problem.begin_replay(self.filtered, k) for k in self.rows}
         return self._simulate(self.variant.values, starts)
 
@@ -239,7 +239,7 @@ class LogReplays:
         return dict(zip(self.problem.layout.outputs, ((self.data.y - self.predicted) / self.gains).T, strict=True))
 
     def random_errors(self, rng: np.random.Generator) -> dict[str, Array]:
-        """Return the errors against a simulation with random noise and random deviations of the starts."""
+        """Return the errors of replays against a simulation with random noise and random deviations of start states."""
         problem, noise, data, rows = self.problem, self.variant.noise, self.data, self.rows
         errors = rng.standard_normal(data.y.shape) * np.sqrt(problem.variances(noise, self.index))
         if problem.layout.is_free_run:
@@ -251,7 +251,7 @@ class LogReplays:
                 random = rng.standard_normal((len(rows), len(layout.stochastic), 1))
                 starts[np.ix_(rows, list(layout.stochastic))] += (roots @ random)[..., 0]
             noisy = len(layout.noise_places)
-            deviation = np.exp(0.5 * noise.power)  # Replays know nothing of the unknown inputs.
+            deviation = np.exp(0.5 * noise.power)  # replays do not contain the unknown inputs
             starts[np.ix_(rows, layout.noise_places)] = rng.standard_normal((len(rows), noisy)) * deviation
             density = problem.densities(noise)[list(layout.noisy)]
             kicks = np.zeros((len(data.u), len(layout.states)))
@@ -268,7 +268,7 @@ class LogReplays:
         propagation = kernel.responses(data, self.problem.x0[self.index])[1]  # type: ignore[attr-defined]
         fades = math.exp(-data.step / math.exp(noise.memory))
         inputs = rng.standard_normal(data.y.shape) * np.exp(0.5 * noise.power)
-        deviations = np.zeros((len(inputs) + 1, inputs.shape[1]))  # after the row before the first
+        deviations = np.zeros((len(inputs) + 1, inputs.shape[1]))  # one more row, for the row before the first
         for k in range(1, len(inputs)):
             both = np.concatenate([deviations[k], deviations[k - 1]])
             deviations[k + 1] = propagation @ both + data.step * inputs[k - 1]
@@ -276,7 +276,7 @@ class LogReplays:
         return deviations[1:]
 
     def _simulate(self, values: NamedValues, starts: Mapping[int, Array] | Array, kicks: Array | None = None) -> Array:
-        """Return outputs of simulations from given states, infinite where they diverge, NaN elsewhere."""
+        """Return outputs of simulations from given states; infinite where they diverge, NaN in other rows."""
         problem, data, horizon = self.problem, self.data, self.horizon
         length = len(data.u) if horizon == FREE_RUN else round(horizon / data.step)
         p, outputs = problem.parameters(values, self.index), np.full(data.y.shape, np.nan)
@@ -285,7 +285,7 @@ class LogReplays:
         for (k, part), run in zip(parts.items(), simulate_all(problem.kernel, begins), strict=True):
             end = len(part.u) - 1
             read = run.outputs[k:]
-            if part.late is not None:  # by the age of each reading in rows
+            if part.late is not None:  # shifted by the age of each reading
                 read = read - np.nan_to_num(part.late[k:]) * np.diff(read, axis=0, prepend=read[:1])
             outputs[k + 1 : end + 1] = np.where(np.isnan(read[1:]), np.inf, read[1:])
         rows = np.arange(len(outputs), dtype=np.float64)
@@ -296,7 +296,7 @@ class LogReplays:
 
 
 def _line(sensor: Any) -> tuple[Any, Any]:
-    """Return the reading at zero and the gain of a sensor with a linear error."""
+    """Return offset and gain of a sensor with a linear error."""
     at_zero = sensor.measure(0.0)
     return at_zero, sensor.measure(1.0) - at_zero
 
@@ -317,11 +317,11 @@ def predicted_errors(variants: Sequence[Variant], problem: Problem, logs: Sequen
 
 @dataclass(frozen=True)
 class Floor:
-    """Noise floor of the replay error by channel, and its scatter over draws.
+    """Noise floor of each channel, and its scatter over random draws.
 
     Attributes:
-        level: Channel → root mean square error of the model against itself.
-        scatter: Channel → standard deviation of the logarithm; channels with a single draw are omitted.
+        level: Channel → RMSE of replays against simulations of the same model with noise.
+        scatter: Channel → standard deviation of the logarithm; channels with only one draw are left out.
     """
 
     level: NamedValues
@@ -332,10 +332,10 @@ Floors = Mapping[Part, Floor]
 
 
 def noise_floor(variant: Variant, problem: Problem, logs: Sequence[Log], rng: np.random.Generator) -> Floor:
-    """Return the noise floor: errors of the model against itself, simulated with random noise.
+    """Return the noise floor: errors of replays against simulations of the same model with random noise.
 
-    Each simulation starts near the filtered state of a replay's first row, at a random deviation with the filter's
-    covariance, and so stays near the motion of the log. A floor above the standard deviation of its channel is omitted.
+    Each simulation starts at the filtered state plus a random deviation with the filter's covariance, so that it stays
+    near the motion in the log. A floor above the standard deviation of its channel is left out.
     """
     problem = begin_replays(variant, problem, logs)
     draws: list[list[dict[str, Array]]] = [[] for _ in range(-(-FLOOR_DRAWS // len(logs)))]
@@ -358,7 +358,7 @@ def noise_floor(variant: Variant, problem: Problem, logs: Sequence[Log], rng: np
 
 
 def final_log_parameters(variant: Variant, problem: Problem, logs: Sequence[Log]) -> dict[str, float]:
-    """Return the last filtered values of parameters per log."""
+    """Return parameter per log → filtered value at the end of the logs."""
     if not logs or not problem.layout.constants:
         return {}
     problem, ends = with_logs(variant.subject, problem, logs), dict[str, float]()
@@ -370,10 +370,10 @@ def final_log_parameters(variant: Variant, problem: Problem, logs: Sequence[Log]
 
 
 def find_rises(before: ReplayedLogs, after: ReplayedLogs) -> dict[str, tuple[float, float]]:
-    """Return channel → error before and after, if significantly risen.
+    """Return channel → error before and after, for channels whose error has risen significantly.
 
-    Student's t test is for the mean of ln(Σe² after / Σe² before) over the replays, so that every replay has the same
-    weight, also with large errors. The channels share the false-alarm probability (Bonferroni).
+    Student's t test is applied to ln(Σe² after / Σe² before) of the replays, so that all replays have equal weight,
+    however large their errors. The channels share the false-alarm probability (Bonferroni).
     """
     old, new = rmse(before), rmse(after)
     rises = {
@@ -394,7 +394,7 @@ def is_significant_rise(rises: Sequence[float], chance: float) -> bool:
 
 
 def remaining_on_sealed_logs(before: ReplayedLogs, after: ReplayedLogs, floor: NamedValues) -> dict[str, float]:
-    """Return channel with excess error before → share of it that remains after."""
+    """Return channel → share of the excess error before that remains after, for channels with excess error."""
     old, new = rmse(before), rmse(after)
     shares = {n: remaining_excess(old[n], new[n], f) for n, f in floor.items() if n in old and n in new}
     return {n: max(0.0, share) for n, share in shares.items() if math.isfinite(share)}
@@ -406,7 +406,7 @@ def _log_ratios(before: ReplayedLogs, after: ReplayedLogs, name: str) -> list[fl
     for (log, first), (corrected, second) in zip(before, after, strict=True):
         if name not in log.outputs:
             continue
-        with np.errstate(over="ignore"):  # A diverging model overflows.
+        with np.errstate(over="ignore"):  # a diverging model may overflow
             a, b = ((x.outputs[name] - replay.outputs[name]) ** 2 for x, replay in ((log, first), (corrected, second)))
         both = np.isfinite(a) & np.isfinite(b)
         edges = [*(k + 1 for k in sorted(first.starts)), log.rows]  # a start row belongs to the previous replay
@@ -418,18 +418,18 @@ def _log_ratios(before: ReplayedLogs, after: ReplayedLogs, name: str) -> list[fl
     return ratios
 
 
-# Replays of every variant on every set of logs, through a fast replayer if equal to the delivered object.
+# Replays of all variants on all sets of logs, by a fast replayer if its results equal those of the delivered object.
 #
-# The delivered object replays a log for comparison. If the results differ, or no fast replayer exists, the delivered
-# object replays every log, and the record states this.
+# The delivered object replays one log for comparison. If results differ, or if there is no fast replayer, the delivered
+# object replays all logs, which the record states.
 
 
 class Replays(BaseModel):
     """FMUs used for the replays.
 
-    why: why not natively; empty where it was
-    log: the log that plant.fmu has replayed too
-    apart: relative difference of the two there
+    why: reason why not a native FMU was used; empty if it was
+    log: log that plant.fmu has replayed for comparison
+    apart: relative difference of both replays of this log
     """
 
     through: Literal["native", "python", "own"]
@@ -441,12 +441,12 @@ class Replays(BaseModel):
 def replay_variants(
     variants: Mapping[str, Variant], problem: Problem, sets: LogSets, place: Workplace
 ) -> tuple[Replayed, Replays]:
-    """Replay every variant on every set of logs; return the replays and the FMU used."""
+    """Replay every variant on every set of logs; return the replays, and which FMU was used."""
 
     def replay_all(replayer_of: Callable[[Subject], Replayer]) -> Replayed:
         done: dict[int, dict[Part, dict[float, ReplayedLogs]]] = {}
         for variant in variants.values():
-            if id(variant) not in done:  # one that stands twice is replayed once
+            if id(variant) not in done:  # a variant that occurs twice is replayed once
                 source = variant, replayer_of(variant.subject), problem
                 horizons = list(OTHER_HORIZONS.values())
                 done[id(variant)] = {part: replay_logs(*source, logs, horizons) for part, logs in sets.items()}
@@ -479,7 +479,7 @@ def replay_variants(
 
 
 def difference(one: Replay, other: Replay) -> float:
-    """Return the largest relative difference of outputs, possibly infinite."""
+    """Return the largest relative difference of outputs, which may be infinite."""
     largest = 0.0
     for name, values in one.outputs.items():
         others, rows = other.outputs[name], np.isfinite(other.outputs[name])
@@ -490,7 +490,7 @@ def difference(one: Replay, other: Replay) -> float:
     return largest
 
 
-# The record of credibility of a refined FMU: held-out replays of the estimation logs, and the region of these logs.
+# The record of credibility of a refined FMU: replays of held-out estimation logs, and the region of these logs.
 
 
 FIRST_BAND_INTERVAL = 0.25  # of the horizon of a model, the first interval of a band
@@ -569,7 +569,7 @@ def _tracks(
     horizons: Mapping[float, float],
     inside: Sequence[Flags] = (),
 ) -> dict[float, list[Track]]:
-    """Return end of interval → track of each log, replayed by its own variant."""
+    """Return end of interval → track (replay errors) of each log, replayed by its own variant."""
     tracks: dict[float, list[Track]] = {end: [] for end in horizons}
     for k, (variant, log) in enumerate(zip(variants, logs, strict=True)):
         begun = begin_replays(variant, problem, logs)

@@ -78,7 +78,7 @@ def write_refine_report(path: Path, r: Refinement) -> None:
     tables, leading = error_tables(r), leading_channel(r)
     duration = plain(sum(float(log.time[-1] - log.time[0]) for log in r.study.logs))
     sealed = len(r.evidence["before"].get("validation", ()))
-    tried = [entry for entry in record["candidates"] if entry["names"]]  # without the model recalibrated
+    tried = [entry for entry in record["candidates"] if entry["names"]]  # without the recalibrated model
     values = {
         "name": f"Study {r.study.name}",
         "answer": answer_of(r),
@@ -119,15 +119,15 @@ def write_refine_report(path: Path, r: Refinement) -> None:
 
 @dataclass(frozen=True)
 class Answer:
-    """The head of the page and of the terminal.
+    """The head of the page, and the text on the terminal.
 
     Attributes:
-        word: Verdict, with a remark on its grade.
+        word: Name of the verdict, with a remark on its grade.
         tone: good, warn or bad.
-        headline: Verdict in a sentence.
-        lines: Error on sealed logs, and what could not be tested.
+        headline: Verdict as a sentence.
+        lines: Sentences on the error on sealed logs, and on what could not be tested.
         details: Further sentences.
-        step, command: What to do next, and the command for it; "" without one.
+        step, command: Next step for the user, and its command; "" if there is none.
     """
 
     word: str
@@ -140,7 +140,7 @@ class Answer:
 
 
 def answer_of(r: Refinement) -> Answer:
-    """Return the head of the page and of the terminal."""
+    """Return the head of the page, also used on the terminal."""
     headline, details = split_sentence(str(r.record["sentence"]))
     word, tone = str(r.record["verdict"]).replace("_", " "), VERDICT_TONES.get(r.verdict.name, "good")
     if r.verdict.grade == "part" and r.verdict.name != "ambiguous":
@@ -153,7 +153,7 @@ def answer_of(r: Refinement) -> Answer:
 
 
 def _next_step(r: Refinement) -> tuple[str, str]:
-    """Return what to do next, and the command for it."""
+    """Return a sentence on the next step for the user, and its command."""
     folder, subject = path_from_here(r.folder), r.study.subject
     if r.verdict.name == "ambiguous":
         step = f"Record a log with {r.verdict.experiment}. To design its input, and to see whether it would decide:"
@@ -175,14 +175,14 @@ def _next_step(r: Refinement) -> tuple[str, str]:
 
 
 def _repeat(r: Refinement) -> str:
-    """Return the command that repeats the study, or ""."""
+    """Return the command that repeats the study, or "" for a study written in Python."""
     if r.study.path is None:
         return ""
     return command("cosim", "refine", str(path_from_here(r.study.path)), "--out", str(path_from_here(r.folder)))
 
 
 def _provenance(r: Refinement) -> list[Row]:
-    """Return the files of the study and of its results, and the versions."""
+    """Return table rows with the files of the study and of its results, and versions."""
     study, subject, claim = r.study, r.study.subject, r.verdict.claimed
     rows = [Row("Study", str(path_from_here(study.path)))] if study.path else []
     rows.append(Row("Model", str(path_from_here(subject.source)), study.content.model if study.path else ""))
@@ -206,7 +206,7 @@ def _provenance(r: Refinement) -> list[Row]:
 
 
 def ranking(r: Refinement) -> TableRows:
-    """Return the rows of the hypotheses, best first."""
+    """Return table rows of the hypotheses, best first."""
     claim, declared, rows = r.verdict.claimed, r.study.subject.declared, list[dict[str, Any]]()
     for e in (e for e in r.record["candidates"] if e["names"]):
         names, gain, values = e["names"], -math.inf if e["score_gain"] is None else e["score_gain"], []
@@ -219,15 +219,15 @@ def ranking(r: Refinement) -> TableRows:
 
 
 def posterior_rows(r: Refinement) -> TableRows:
-    """Return the probable sets of parts, the recalibrated model and the delivered set; what remains is one row."""
+    """Return table rows of probable hypotheses, the recalibrated and the delivered model; others are one row."""
     record, claim, near, rows = r.record, r.verdict.claimed, r.verdict.nearest, list[dict[str, Any]]()
     held_out = {}
     for e in record["ladder"]:
         if e["model"] != "before":
             spread = f" ± {percent(e['ratio'] * e['standard_error'])}" if e["standard_error"] else ""
             held_out[frozenset(e["names"])] = percent(e["ratio"]) + spread
-    outcome = "delivered" if r.verdict.name == "ambiguous" else "claimed"  # of rivals, the whole set is no claim
-    known = [(near, "nearest model", "nearest"), (claim, outcome, "after")]  # with the key of its errors
+    outcome = "delivered" if r.verdict.name == "ambiguous" else "claimed"  # rivals are not claimed
+    known = [(near, "nearest model", "nearest"), (claim, outcome, "after")]  # with the key of their errors
     delivered = {h.key: (outcome, variant) for h, outcome, variant in known if h}
     others = 0
     rest = {"share": 0.0, "why": "", "error": MISSING, "sealed": MISSING, "claimed": False}
@@ -251,14 +251,14 @@ def posterior_rows(r: Refinement) -> TableRows:
 
 
 def _sealed_ratio(errors: Mapping[str, Any], variant: str) -> float:
-    """Return the error on sealed logs relative to the given model, geometric mean over outputs; NaN without any."""
+    """Return the error on sealed logs relative to the given model: geometric mean over outputs, NaN without logs."""
     before, after = ((errors.get(name) or {}).get("validation") or {} for name in ("before", variant))
     ratios = [after[n] / error for n, error in before.items() if error > 0.0 and after.get(n, 0.0) > 0.0]
     return geometric_mean(ratios) if ratios else math.nan
 
 
 def inclusion_rows(r: Refinement) -> TableRows:
-    """Return the probable parts, most probable first, with what became of them."""
+    """Return table rows of the probable parts, most probable first, each with its outcome."""
     decision, rows = r.verdict.decision, list[dict[str, Any]]()
     withdrawn = dict.fromkeys(decision.disputed, "unmodelled dynamics remain")
     for reason, _, name in (text.partition(": ") for text in decision.reasons):
@@ -276,7 +276,7 @@ def inclusion_rows(r: Refinement) -> TableRows:
 
 
 def parameter_tables(r: Refinement) -> TableRows:
-    """Return the tables of added and of base parameters, of the claim or the recalibrated and the nearest model."""
+    """Return tables of added and base parameters, for the claim (or recalibrated model) and the nearest model."""
     near, found = r.verdict.nearest, []
     shown = [(r.verdict.claimed or r.verdict.base, "")]
     if r.verdict.claimed is None and near is not None and near.candidates:
@@ -289,7 +289,7 @@ def parameter_tables(r: Refinement) -> TableRows:
 
 
 def _parameter_row(r: Refinement, free: Free, h: Hypothesis) -> dict[str, Any]:
-    """Return an estimate with its interval, and their places on a ruler."""
+    """Return a table row with an estimate, its interval, and their positions on a ruler."""
     declared, fit, start = r.study.subject.declared[free.name], h.fit, r.problem.values[free.name]
     own, value, (low, high) = declared.unit, fit.values[free.name], fit.interval(free.name)
     unit, factor = display(own)
@@ -325,9 +325,9 @@ def per_log_rows(r: Refinement) -> list[tuple[Any, ...]]:
 
 
 def noise_rows(r: Refinement) -> list[tuple[str, ...]]:
-    """Return the process noise of each equation; none if the fit trusted the equations.
+    """Return table rows with the process noise of each equation; none if the fit trusted the equations.
 
-    √q is the drift of a state in a second that its equation does not explain, in the unit of the state per √s.
+    √q is the drift of a state that its equation does not explain, in the unit of the state per √s.
     """
     units, rows = {q.name: q.unit for q in r.study.subject.states}, []
     for name, q in ({} if r.problem.trusted else r.record["residual"]["process_noise"]).items():
@@ -345,7 +345,7 @@ def horizon(r: Refinement) -> str:
 
 
 def decisive_part(r: Refinement) -> Part:
-    """Return the sealed logs, else the estimation logs."""
+    """Return the set of logs whose errors decide: sealed logs, or estimation logs if none are sealed."""
     return "validation" if "validation" in r.record["error"]["before"] else "estimation"
 
 
@@ -358,7 +358,7 @@ def _numbers(r: Refinement, part: str, name: str) -> dict[str, float]:
 
 
 def error_tables(r: Refinement) -> list[dict[str, Any]]:
-    """Return a table for each set of logs, its rows with the errors of a channel as texts."""
+    """Return a table for each set of logs; a row contains the errors of a channel as texts."""
     tables = []
     for part, title in PART_TITLES.items():
         rows = []
@@ -384,7 +384,7 @@ def leading_channel(r: Refinement) -> str:
 
 
 def second_sentence(r: Refinement) -> str:
-    """Return a sentence on the error farthest above its noise floor, on sealed logs if available."""
+    """Return a sentence on the channel with the largest error relative to its noise floor, on sealed logs if any."""
     part, name = decisive_part(r), leading_channel(r)
     if not name:
         return ""
@@ -403,7 +403,7 @@ PRODUCT_SIGN = " · "  # between the signals of a product
 
 
 def runs(r: Refinement, charts: Charts, leading: str) -> list[dict[str, Any]]:
-    """Return title, channels and plots of the first sealed and estimation log, the leading channel first."""
+    """Return title, channels and plots of the first sealed and the first estimation log; channel `leading` is first."""
     pages = []
     words: dict[Part, str] = {"validation": "sealed", "estimation": "used for the fits"}
     for part, word in words.items():
@@ -424,7 +424,7 @@ def runs(r: Refinement, charts: Charts, leading: str) -> list[dict[str, Any]]:
 
 
 def _channel(drawing: Drawing, curves: Sequence[tuple[str, str, ReplayedLogs]], name: str) -> list[Plot]:
-    """Draw a channel of a log: measurement with model, and residual.
+    """Draw two charts of a channel: measurement with model output, and residual.
 
     The model's output is the reading minus its error, and includes sensor errors in the model.
 
@@ -453,7 +453,7 @@ def _channel(drawing: Drawing, curves: Sequence[tuple[str, str, ReplayedLogs]], 
 def innovations(r: Refinement, charts: Charts) -> list[dict[str, Any]]:
     """Return statistics and plots of the normalised innovations of each channel.
 
-    Without a claim, the filter of the fit is compared with a filter that trusts its equations.
+    Models before and after are compared; without a claim, the filter of the fit and a filter with trusted equations.
     """
     after, problem = r.variants["after"], r.problem
     pairs = [(after, replace(after.noise, power=problem.noise.smallest)), (after, after.noise)]
@@ -472,7 +472,7 @@ def innovations(r: Refinement, charts: Charts) -> list[dict[str, Any]]:
     drawing = charts.over(problem.logs[0].times[-len(both[0][0]) :])
     lags = lags_of(min(len(part) for part in both[0]), step)
     over_lags = charts.over(step * np.arange(1.0, lags + 1.0), ("lag", "s"))
-    gap = np.full(lags + 1, np.nan)  # beyond any lag, between logs
+    gap = np.full(lags + 1, np.nan)  # a gap between logs, longer than any lag
     found = []
     for channel in dict.fromkeys(n for log in r.study.logs for n in log.outputs if n in problem.layout.outputs):
         column = problem.layout.outputs.index(channel)
@@ -500,7 +500,7 @@ def modes(r: Refinement) -> tuple[str, str]:
 
 
 class Regressor(NamedTuple):
-    """A signal as horizontal axis of a missing derivative, with the rows of some logs in sequence."""
+    """A signal over which a missing quantity is plotted, with the rows of some logs one after another."""
 
     name: str
     unit: str
@@ -512,9 +512,9 @@ class EffectComparison:
     """A missing quantity, estimated from the logs, and the claimed term.
 
     Attributes:
-        where: State or channel of the missing quantity.
+        where: State or channel that lacks the quantity.
         unit: Unit of the missing quantity.
-        estimated: Estimate without the claim, row by row; `sigma`: its standard deviation.
+        estimated: Estimate without the claim, in each row. sigma: Standard deviation of the estimate.
         term: Claimed value; None without a claim.
         first: Number of rows of the first log.
     """
@@ -532,12 +532,12 @@ class EffectComparison:
 
     @property
     def quantity(self) -> str:
-        """Return the missing quantity in words."""
+        """Return a phrase for the missing quantity."""
         return f"error of {self.where}" if self.kind == "sensor" else f"missing derivative of {self.where}"
 
     @property
     def share(self) -> float:
-        """Return the mean square share explained by the term."""
+        """Return the share of the mean square that the term explains."""
         return math.nan if self.term is None else _explained(self.estimated, self.term)
 
 
@@ -548,7 +548,7 @@ def _explained(values: Array, term: Array) -> float:
 
 
 def compare_effects(r: Refinement) -> list[EffectComparison]:
-    """Return a comparison for each claimed effect; without a claim, the missing derivative that is unexplained."""
+    """Return a comparison for each claimed effect; without a claim, the unexplained missing derivative."""
     claim, problem, subject = r.verdict.claimed, r.problem, r.study.subject
     if claim is None:
         return [_compare_equation(r, r.verdict.best.fit)] if r.verdict.name == "unexplained" else []
@@ -558,7 +558,7 @@ def compare_effects(r: Refinement) -> list[EffectComparison]:
             compared.append(_compare_sensor(subject, problem, c, claim.fit))
             continue
         without = r.verdict.base.fit
-        if len(claim.candidates) > 1:  # the other candidates stay, so that only this term is missing
+        if len(claim.candidates) > 1:  # keep the other candidates, so that only this term is missing
             neutral = {n: problem.values[n] for n in c.parameters}
             without = replace(without, values={**claim.fit.values, **neutral})
         compared.append(_compare_equation(r, without, c, claim.fit))
@@ -570,8 +570,8 @@ def _compare_equation(
 ) -> EffectComparison:
     """Compare the derivative that a model lacks with the term of a claimed candidate, if any.
 
-    The comparison is for the equation whose term is largest relative to the uncertainty; without a candidate, for the
-    equation of the residual.
+    The equation is the one whose term is largest relative to its uncertainty; without a candidate, the equation in the
+    entry `residual`.
     """
     subject, problem = r.study.subject, r.problem
     missing = smooth_logs(problem, without, deviations=bool(candidate) and problem.layout.is_free_run)
@@ -600,7 +600,7 @@ def _compare_equation(
 def _compare_sensor(subject: Subject, problem: Problem, c: Candidate, claim: Fit) -> EffectComparison:
     """Compare estimated and claimed error of a sensor, along the filtered states of the refined model.
 
-    The comparison is for the output with the largest error.
+    The output is the one with the largest error.
     """
     kind: Any = next(k for k in subject.sensors if k.name == c.name)
     names, parts, noise = problem.layout.outputs, [], loosen_noise(problem, claim.noise)
@@ -638,21 +638,21 @@ def _compare_sensor(subject: Subject, problem: Problem, c: Candidate, claim: Fit
 
 
 def _choose(subject: Subject, signals: Mapping[str, Array], suggested: Sequence[str], values: Array) -> Regressor:
-    """Return the signal whose bins explain most of the variance of `values`; suggested signals have precedence."""
+    """Return the signal whose bins explain most of the variance of `values`; suggested ones first."""
     units = signal_units(subject)
     names = [n for n in suggested if all(one in signals for one in n.split(PRODUCT_SIGN))]
     found = []
     for name in names or [n for n in signals if n in units and n.partition(".")[0] not in subject.present]:
         parts = name.split(PRODUCT_SIGN)
         x = np.prod([signals[one] for one in parts], axis=0)
-        if units.get(name) == "rad" and np.ptp(x) > 2.0 * np.pi:  # a turning angle, wrapped into one turn
+        if units.get(name) == "rad" and np.ptp(x) > 2.0 * np.pi:  # an angle of more than one turn is wrapped
             x = np.mod(x, 2.0 * np.pi)
         found.append(Regressor(name, PRODUCT_SIGN.join(units[one] for one in parts), x))
     return min(found, key=lambda s: sum(float(np.var(values[rows])) * rows.size for rows in _bins(s.values)))
 
 
 def _bins(x: Array) -> list[Rows]:
-    """Return the rows in intervals of x with √n rows each."""
+    """Return the rows in each of √n intervals of x that contain equally many rows."""
     return np.array_split(np.argsort(x, kind="stable"), max(1, round(math.sqrt(x.size))))
 
 
@@ -673,7 +673,7 @@ def shown_effects(r: Refinement, charts: Charts) -> list[dict[str, Any]]:
 
 
 def _sentence(s: EffectComparison) -> str:
-    """Return a sentence on a term's share."""
+    """Return a sentence on the share that the term explains."""
     if s.term is None:
         return f"The {s.quantity} is drawn against {s.against.name}, which it follows most"
     text = f"{s.effect} explains {percent(s.share)} of the mean square {s.quantity}"
@@ -686,7 +686,7 @@ def _sentence(s: EffectComparison) -> str:
 def _plots(s: EffectComparison, charts: Charts) -> list[Plot]:
     """Draw the missing quantity and the claimed term: means over a signal, and the first log over time.
 
-    Estimates of neighbouring rows are correlated, so that each pass of the signal through an interval counts once.
+    Estimates of neighbouring rows are correlated, so each passage of the signal through an interval counts only once.
     """
     (unit, factor), x = display(s.unit), displayed(s.against.values, s.against.unit)
     title, bins = f"{s.quantity[0].upper()}{s.quantity[1:]}", _bins(x)

@@ -1,1 +1,1 @@
-"""Search for missing effects: candidates, hypotheses and their fits."""
+"""Search for missing effects: sets of candidates and their fits."""

@@ -1,10 +1,10 @@
 """Search for missing effects: score tests of all sets of candidates, fits of the most promising, choice of the best.
 
-The base model is fitted first. Around the best hypothesis so far, a score test predicts the gain of every set of
-candidates for one filter run per parameter: one or two candidates more, one replaced by another, one less. The most
-promising sets are fitted. Parts that a fit moves to neutral are removed and the rest is refitted. The search continues
-around the new best hypothesis until no set promises more. This corrects a missing effect that alone fits with a wrong
-sign, or in place of another effect.
+The base model is fitted first. Near the best hypothesis so far, a score test predicts the gain of sets of candidates
+(one or two more, one replaced, one less) by one filter run per parameter. The sets with the largest predicted gain are
+fitted. Parts that a fit moves to neutral are removed, and the rest is fitted again. The search continues around the new
+best hypothesis until no set has a predicted gain. This corrects an effect that, alone, was fitted with a wrong sign or
+in place of another effect.
 """
 
 from __future__ import annotations
@@ -50,20 +50,20 @@ from cosim.refinement.search.fits import (
 )
 from cosim.refinement.search.unnamed import with_likely_periods
 
-FITTED = 6  # sets fitted in each round, and most promising candidates from which sets are formed
-DONE = 1.0  # nats by which a round must improve the score
-USUAL_STAMP = 0.05  # usual time stamp error as a share of a row; start value of its fit
-BREADTH = 4  # most probable sets whose neighbours are tried in a round, additions to one, replacements of its parts
-EXPANSIONS = 4  # rounds of neighbours
+FITTED = 6  # sets fitted in each round; candidates with the largest predicted gain from which sets are formed
+DONE = 1.0  # least improvement of the score by a round [nats]
+USUAL_STAMP = 0.05  # usual error of time stamps, as a share of a row; start value of a fit
+BREADTH = 4  # most probable sets whose neighbours are tried in a round; additions, replacements of a part
+EXPANSIONS = 4  # rounds in which neighbours are tried
 Start = tuple[Parts, Fit]
 
 
 class Attributor(Search):
-    """Search for missing effects: fit of the base model, rounds of promising sets, final fit of the best sets.
+    """Search for missing effects: fit of the base model, rounds of sets of candidates, final fits of the best sets.
 
     Attributes:
-        fine: The problem with all substeps; `problem` has as few as the likelihood allows.
-        usual: Candidates with their usual periods; `candidates` have likely ones.
+        fine: Problem with all substeps; `problem` has the fewest that leave the likelihood unchanged.
+        usual: Candidates with usual periods of forces; `candidates` have likely periods.
         identifiable: Candidate → largest χ² of its terms at their usual size.
         best: The best hypothesis at the end.
     """
@@ -80,7 +80,7 @@ class Attributor(Search):
         self.identifiable: dict[str, float] = {}
 
     def run(self) -> Self:
-        """Fit the base model, promising sets of candidates in rounds, then the finalists."""
+        """Fit the base model, then sets of candidates in rounds, then the best sets to convergence."""
         self.progress("recalibrating the base model", 0.0)
         base = self._with_likely_starts(self.from_the_prior(self.hypothesis((), None)))
         base = self._with_enough_substeps(self._with_stamp_errors(self._with_stated_noise(base)))
@@ -99,7 +99,7 @@ class Attributor(Search):
                 break
             (settled,) = self.fit_to_the_end([(best.candidates, best.fit)])
             settled = self._with_stamp_errors(settled)
-            further = best.score - settled.score  # hypotheses fitted with the previous noise would gain as much
+            further = best.score - settled.score  # also the gain of hypotheses that were fitted with the previous noise
             self.tried = {n: replace(o, score=o.score - further) for n, o in self.tried.items()}
             self.tried[settled.key] = settled
             self._rescore()
@@ -108,11 +108,11 @@ class Attributor(Search):
         return self
 
     def _pose(self, **changes: Any) -> None:
-        """Change the problem."""
+        """Replace fields of the fitting problem."""
         self.fine, self.problem = (replace(p, **changes) for p in (self.fine, self.problem))
 
     def _rescore(self) -> None:
-        """Update all scores for a non-white residual of trusted equations."""
+        """Update all scores for the non-white residuals of fits with trusted equations."""
         if not self.problem.trusted:
             return
         likeliest = min(self.tried.values(), key=lambda h: h.fit.nll)
@@ -120,10 +120,10 @@ class Attributor(Search):
         self.tried = {n: replace(o, score=o.fit.objective + self.cost(o.candidates)) for n, o in self.tried.items()}
 
     def _with_likely_starts(self, base: Hypothesis) -> Hypothesis:
-        """Return the base model, fitted in turn with start states.
+        """Return the base model, fitted alternately with start states.
 
-        The filter of free runs is linear in start states. Those that suit the given parameters may be far from those
-        of the fit.
+        Start states of free runs depend on the parameters: those for the given parameters may be far from those of the
+        fit.
         """
         while (posed := with_likely_starts(self.problem, base.fit.values, base.fit.noise)) is not self.problem:
             self._pose(x0=posed.x0)
@@ -135,8 +135,8 @@ class Attributor(Search):
     def _with_stated_noise(self, base: Hypothesis) -> Hypothesis:
         """Fix the noise of sensors at the stated noise if the estimate is at its lower limit.
 
-        The stated noise may include errors that these logs do not contain. A limit above the stated noise is that of
-        quantisation, and stays.
+        The stated noise may include errors that these logs do not contain. A limit above the stated noise comes from
+        quantisation, and is kept.
         """
         problem = self.problem
         low, stated = base.fit.noise.like(problem.limits.low).sensors, np.log(problem.r)
@@ -149,9 +149,10 @@ class Attributor(Search):
         return self.hypothesis((), start)
 
     def _with_enough_substeps(self, h: Hypothesis) -> Hypothesis:
-        """Return a hypothesis, refitted with more substeps while the likelihood at its fit depends on them.
+        """Return a hypothesis, fitted with more substeps as long as the likelihood at the fit depends on them.
 
-        With too few, an integrator may imitate what the model lacks; the fit begins at the given values too.
+        With too few substeps, integration errors may imitate what the model lacks; fits therefore also start at the
+        given values.
         """
         while (posed := with_finer_steps(self.problem, h.fit.values, h.fit.noise)) is not self.problem:
             self.fine, self.problem = with_finer_steps(self.fine, h.fit.values, h.fit.noise), posed
@@ -159,7 +160,7 @@ class Attributor(Search):
         return h
 
     def _with_stamp_errors(self, h: Hypothesis) -> Hypothesis:
-        """Refit with errors of time stamps, if indicated."""
+        """Return a hypothesis, fitted again with errors of time stamps if the innovations indicate them."""
         problem, noise = self.problem, h.fit.noise
         late = erring_stamps(problem, h.fit)
         if not late.any():
@@ -172,10 +173,10 @@ class Attributor(Search):
         return timed if timed.fit.objective < h.fit.objective else h
 
     def _proposals(self, best: Hypothesis) -> list[Trial]:
-        """Return promising untried sets of candidates with start values."""
+        """Return untried sets of candidates with large predicted gains, and start values."""
         test = ScoreTest(self.problem, best.fit, best.candidates)
         chosen = {c.name: c for c in self.candidates if c.name in best.key}
-        every = [chosen.get(c.name, c) for c in self.usual]  # the others begin with their usual periods again
+        every = [chosen.get(c.name, c) for c in self.usual]  # other candidates begin with usual periods again
         self.candidates, periods = with_likely_periods(test, every, best.names)
         if periods:
             self._pose(values={**self.problem.values, **periods})
@@ -202,15 +203,15 @@ class Attributor(Search):
         return [*likely, *(((*best.candidates, t.candidate), None) for t in switched), *whole]
 
     def _complete_errors(self) -> Iterator[Trial]:
-        """Yield complete errors with the given parameters, as the base fit may have gone where they promise nothing.
+        """Yield complete sensor errors with the given parameters; near the base fit, they may have no predicted gain.
 
-        With a sensor that shows the magnitude, it follows one direction only.
+        For example, if a sensor shows only the magnitude, the base fit may follow one direction of motion.
         """
         problem = self.problem
         untried = [c for c in self.candidates if c.complete and key_of((c,)) not in self.tried]
         plain = problem.score(problem.values, problem.plain).nll if untried else 0.0
         for c in untried:
-            if problem.score({**problem.values, **c.complete}, problem.plain).nll != plain:  # it acts on these logs
+            if problem.score({**problem.values, **c.complete}, problem.plain).nll != plain:  # it has an effect
                 given = {f.name: problem.values[f.name] for f in self.free((c,))}
                 yield (c,), {**given, **c.complete}
 
@@ -229,7 +230,7 @@ class Attributor(Search):
                 yield from ((*rest, *more) for more in replacements)
 
     def _reductions(self, fitted: Sequence[Hypothesis]) -> list[Trial]:
-        """Return each fit's candidates without ineffective parts."""
+        """Return the candidates of each fit without parts that have no effect."""
         sets: dict[Names, Trial] = {}
         for h in fitted:
             neutral = self.problem.values
@@ -239,7 +240,7 @@ class Attributor(Search):
         return list(sets.values())
 
     def _finish(self, base: Hypothesis, best: Hypothesis) -> None:
-        """Fit the best hypotheses, and those around them, to convergence with full substeps."""
+        """Fit the best hypotheses and their neighbours to convergence, with all substeps."""
         self.progress("finishing the best fits", 0.0)
         enough = zip(self.problem.logs, coarsen(self.fine, best.fit.values).logs, self.fine.logs, strict=True)
         logs = [replace(log, substeps=max(base.substeps, other.substeps)) for base, other, log in enough]
@@ -250,7 +251,7 @@ class Attributor(Search):
         self.tried[best.key] = best
         self._rescore()
         best = self.tried[best.key]
-        # The base model may have ended in a local optimum, which candidates leave without an effect of their own.
+        # The base model may have ended in a local optimum, which candidates can leave without an effect of their own.
         from_best: list[Start] = [((), best.fit)] if best.candidates else []
         self.fit_to_the_end([*from_best, *self._beyond_special_cases(best)])
         while True:
@@ -267,7 +268,7 @@ class Attributor(Search):
         self.hidden = tuple(n for n in absent if self.identifiable.get(n, np.inf) < float(ndtri(MISFIT)) ** 2)
 
     def _beyond_special_cases(self, best: Hypothesis) -> list[Start]:
-        """Return sets near the best with an effect in place of its special case, starting from the values of that."""
+        """Return sets in which a general effect replaces its special case, started from values of the latter."""
         starts = dict[Names, Start]()
         near = sorted((h for h in self.tried.values() if h.score - best.score < self.near), key=lambda h: h.score)
         for h, simple, rich in [(of, c, other) for of in near for c in of.candidates for other in self.candidates]:
@@ -279,10 +280,10 @@ class Attributor(Search):
         return [*starts.values()]
 
     def _fit_neighbours(self) -> None:
-        """Fit what may be as probable as the most probable sets: removals, additions, other parts in the place of each.
+        """Fit sets that may be as probable as the most probable ones: without a part, with another, with one replaced.
 
-        A posterior needs every such set. A score test predicts the gain; what would be probable is fitted to the end,
-        until nothing probable is untried.
+        The posterior needs all probable sets. A score test predicts the gain; sets that would be probable are fitted to
+        convergence, until no probable set is untried.
         """
         asked = set[Names]()
         for _ in range(EXPANSIONS):
@@ -292,7 +293,7 @@ class Attributor(Search):
             ranked = [*classes]
             starts: dict[Names, Start] = {}
             mass = np.cumsum([*classes.values()])
-            leading = ranked[: min(BREADTH, 1 + int(np.searchsorted(mass, CERTAIN)))]  # what a verdict would name
+            leading = ranked[: min(BREADTH, 1 + int(np.searchsorted(mass, CERTAIN)))]  # sets that a verdict would name
             probable = [parts for parts in leading if parts not in asked]
             asked.update(probable)
             stage = "repeating the most probable fits from other start values"
@@ -311,10 +312,10 @@ class Attributor(Search):
             self.fit_to_the_end(untried)
 
     def _without_idle_parts(self, limit: float) -> list[Start]:
-        """Return the sets without the parts that a fit has moved to neutral, where they have no fit as good as that.
+        """Return sets without parts that a fit has moved to neutral, unless they have an equally good fit.
 
         Args:
-            limit: Score from which a set is too improbable.
+            limit: Score above which a set is too improbable.
         """
         starts, given = dict[Names, Start](), self.problem.values
         for h in self.tried.values():
@@ -328,10 +329,10 @@ class Attributor(Search):
         return [*starts.values()]
 
     def _worse_than_their_parts(self, limit: float) -> Iterator[Start]:
-        """Yield the sets with a fit that is worse than a later one of some of their parts.
+        """Yield the sets whose fit is worse than a later fit of a subset.
 
         Args:
-            limit: Score from which a set is too improbable.
+            limit: Score above which a set is too improbable.
         """
         reached = {h.key for h in optima(self)}
         for h in self.tried.values():
@@ -359,7 +360,7 @@ class Attributor(Search):
                 yield (*h.candidates, c), replace(h.fit, values={**h.fit.values, **promise.values})
 
     def _promises(self, h: Hypothesis, others: Sequence[Candidate]) -> list[tuple[Candidate, Promise]]:
-        """Return what each of other candidates promises beside a hypothesis, best first."""
+        """Return the predicted result of adding each of some candidates to a hypothesis, best first."""
         test = ScoreTest(self.problem, h.fit, h.candidates)
         terms = [t for t in in_parallel(test.terms, others) if not t.switched]
         promises = Choice(test, terms, (), self.problem.values).extensions(())
@@ -367,20 +368,21 @@ class Attributor(Search):
         return [(named[name], promise) for name, promise in promises.items()]
 
 
-# Comparison of fits with free unknown inputs and fits with trusted equations.
+# Comparison of fits with free unknown inputs and fits with trusted equations (without unknown inputs).
 #
-# A free unknown input absorbs every one-step prediction error, for example an input that was not held between two
-# rows or an unmodelled fast mode. The parameters then fit the next row, and slow effects, visible over the model's
-# own horizon, have little weight. If the best hypothesis or the base model predicts clearly better without unknown
-# inputs, the search is repeated without them; what only that search finds was chosen on all logs, and says nothing on
-# the way. Its residual is not white: the cost of every candidate is scaled by the dispersion of the likelihood.
-# Likelihoods of the two ways have no common scale; predictions of logs left out have, and decide.
+# A free unknown input absorbs every one-step prediction error, for example due to an input that is not held between
+# rows or to an unmodelled fast mode. The parameters then fit the next row, and slow effects, which are visible over the
+# model's own horizon, have little weight. If the best hypothesis or the base model predicts clearly better without
+# unknown inputs, the search is repeated without them. Parts that only the repeated search finds were chosen on all
+# logs, so they do not count in this comparison. The residuals are then not white: the cost of every candidate is scaled
+# by the dispersion of the likelihood. Likelihoods of both kinds of fits are not comparable; predictions of held-out
+# logs are, and decide.
 
 
 def attribute(subject: Subject, problem: Problem, candidates: Sequence[Candidate], progress: Progress) -> Attributor:
     """Return the search with or without unknown inputs.
 
-    Equations are trusted if open-loop predictions of logs left out become clearly better.
+    Equations are trusted if this makes open-loop predictions of held-out logs clearly better.
     """
 
     def error(search: Search, h: Hypothesis) -> float:

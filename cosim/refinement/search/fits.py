@@ -1,7 +1,7 @@
 """Parallel fits of candidate sets on one problem, with a record of every hypothesis.
 
-The score of a set, by which a search goes on, is a rough −ln of its posterior: the objective of its fit, ½·ln N for
-each parameter (half of BIC), and −ln of the prior of so many parts.
+The score of a set, which guides the search, approximates −ln of its posterior: the objective of its fit, plus ½·ln N
+for each parameter (half of BIC), minus the logarithm of the prior for this number of parts.
 """
 
 from __future__ import annotations
@@ -46,10 +46,10 @@ def key_of(parts: Sequence[Candidate]) -> Names:
 
 @dataclass(frozen=True)
 class Hypothesis:
-    """A fitted set of candidates.
+    """A set of candidates with its fit.
 
     Attributes:
-        ended: True if fitted with the model's own substeps and all noise free.
+        ended: True if the fit used all substeps of the model and all noise was free.
     """
 
     candidates: tuple[Candidate, ...]
@@ -73,7 +73,7 @@ class Hypothesis:
         return tuple(n for c in self.candidates for n in c.parameters)
 
     def loss_without(self, c: Candidate, neutral: NamedValues) -> float:
-        """Return the estimated log-likelihood loss without a part."""
+        """Return the estimated log-likelihood loss if a part is removed."""
         away = np.array([self.fit.values[f.name] - neutral[f.name] for f in c.free])
         return 0.5 * float(away @ self.fit.marginal(c.parameters) @ away)
 
@@ -87,15 +87,15 @@ class Search:
     """Fits of hypotheses on a problem.
 
     Attributes:
-        price: Score cost of each parameter, ½·ln N.
+        price: Complexity penalty of each parameter in the score, ½·ln N.
         on_trial: Number of candidates.
-        tried: Key → hypothesis.
-        candidates: All candidates on trial.
+        tried: Set of names → hypothesis.
+        candidates: All candidates.
         hidden: Effects that these logs cannot show at their usual size.
-        free_noise: With trusted equations, the noise of the fit with free unknown inputs. The trusted fit counts model
-            errors as sensor noise, and its filter hardly follows the readings.
-        cross_fits: Key and held-out log → fit to the remaining logs.
-        evidences: Key → hypothesis and its evidence.
+        free_noise: With trusted equations, the noise of the fit with free unknown inputs. A fit with trusted equations
+            counts model errors as sensor noise, so its filter hardly follows the readings.
+        cross_fits: (set of names, held-out log) → fit to the remaining logs.
+        evidences: Set of names → hypothesis and its evidence.
     """
 
     def __init__(self, subject: Subject, problem: Problem, on_trial: int, progress: Progress) -> None:
@@ -117,16 +117,17 @@ class Search:
         loosen: bool = True,
         screen: bool = False,
     ) -> Hypothesis:
-        """Fit some candidates together from each of their starts; base parameters on trial lose their prior.
+        """Fit candidates together from each of their start values; base parameters among them lose their prior.
 
         Args:
             promised: Additional start values from a score test.
-            loosen: Start unknown inputs at a level from which they can move.
-            screen: Fit a few iterations with the noise of sensors held, to rank the hypothesis only.
+            loosen: Start unknown inputs at a level that a fit can change.
+            screen: Make only a few iterations with constant sensor noise, to rank the hypothesis.
         """
         problem, free = self.problem, self.free(parts)
         start = start or initial_fit(problem)
-        # Only parameters free in this fit keep their start; parts of another hypothesis return to neutral.
+        # Only parameters that are free in this fit keep their start values; parts of other hypotheses return to
+        # neutral.
         moved = {f.name for f in start.free} & {f.name for f in free}
         base = {**problem.values, **{name: start.values[name] for name in moved}}
         starts = [c.starts for c in parts if not moved.issuperset(c.parameters)]
@@ -146,10 +147,11 @@ class Search:
         return Hypothesis(parts, best, best.objective + self.cost(parts), ended=not screen)
 
     def from_the_prior(self, h: Hypothesis) -> Hypothesis:
-        """Fit a hypothesis again from other starts, as a fit may end in a local optimum; the best fit counts.
+        """Fit a hypothesis from other start values, since a fit may end in a local optimum; return the best fit.
 
-        Sizes of parts and base numbers are drawn from their priors, unknown inputs from the range that logs can show.
-        Free runs that have left the motion of the logs are also fitted to the first rows, and from there to more.
+        Sizes of parts and base parameters are drawn from their priors, unknown inputs from the range that logs can
+        show. Free runs that have departed from the motion in the logs are also fitted to the first rows, then to more
+        rows.
         """
         problem, free, best = self.problem, self.free(h.candidates), h.fit
         rng = np.random.default_rng([*" ".join(h.names).encode()])
@@ -167,7 +169,7 @@ class Search:
                 noise = replace(noise, power=power, memory=problem.plain.memory)
             other = fit(problem, free, values, noise, goal=best.objective - CONVERGED_GAIN * problem.scatter)
             best = min(best, other, key=attrgetter("objective"))
-        # Free runs that leave the motion of the logs are kept there by large unknown inputs.
+        # Large unknown inputs indicate free runs that have departed from the motion in the logs.
         is_away = problem.layout.is_free_run and np.any(best.noise.power > problem.noise.plain)
         if is_away and not problem.trusted:
             own = {n: best.values[n] for n in h.parameters}
@@ -177,9 +179,9 @@ class Search:
     def _toward(
         self, promised: NamedValues, base: NamedValues, free: Sequence[Free], noise: Noise, nll: float
     ) -> dict[str, float]:
-        """Return the values from `base` to the promised ones: sizes are halved until the logs are no less likely.
+        """Return values near predicted ones: predicted changes are halved until the logs are no less likely.
 
-        A score test promises along a straight line, and too much where unknown inputs explain most of an effect.
+        A score test extrapolates linearly, and predicts too large sizes if unknown inputs explain most of an effect.
         """
         sizes, found = {f.name for f in free if f.neutral is not None}, []
         for share in 0.5 ** np.arange(1 + HALVINGS):
@@ -197,7 +199,7 @@ class Search:
         return [b for b in base if b.name not in on_trial] + own
 
     def fit_all(self, sets: Sequence[Trial], start: Hypothesis, stage: str) -> list[Hypothesis]:
-        """Fit sets of candidates; a fit ends early if it cannot come near the score of `start`."""
+        """Fit sets of candidates; a fit ends early if it cannot approach the score of `start`."""
 
         def fit_trial(trial: Trial) -> Hypothesis:
             parts, promised = trial
@@ -207,9 +209,10 @@ class Search:
         return self.fit_each(stage, fit_trial, [trial for trial in sets if key_of(trial[0]) not in self.tried])
 
     def fit_to_the_end(self, starts: Sequence[tuple[Parts, Fit]]) -> list[Hypothesis]:
-        """Fit sets of parts from given values, sensor noise included; a better fit of an earlier start counts.
+        """Fit sets of parts, with sensor noise, to convergence from given values; keep the best fit of each set.
 
-        A fit that ends worse than that of some of its parts begins again there, so that it cannot be worse.
+        A fit that is worse than the fit of a subset is repeated from the values of that fit, so that it cannot be
+        worse.
         """
 
         def refit(start: tuple[Parts, Fit]) -> Hypothesis:
@@ -248,10 +251,10 @@ class Search:
 
     @property
     def near(self) -> float:
-        """Return the score difference of `FITTED_WITHIN_NATS` nats."""
+        """Return the score difference that corresponds to `NEAR` nats."""
         return FITTED_WITHIN_NATS * self.problem.scatter
 
     def cost(self, parts: Sequence[Candidate]) -> float:
-        """Return the score cost of candidates."""
+        """Return the complexity penalty and prior of candidates in the score."""
         shapes = sum(math.log(c.among) + self.price * len(c.free) for c in parts)
         return float(self.problem.scatter * (shapes - log_prior(len(parts), max(self.on_trial, len(parts)))))

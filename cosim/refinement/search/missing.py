@@ -1,4 +1,4 @@
-"""Missing acceleration of a model in each row, and the contribution of a hypothesis to it.
+"""The part of each derivative that a model lacks, in each row, and the contribution of a hypothesis to it.
 
 Each forced equation has an unknown input, a state of the filter. A Rauch-Tung-Striebel smoother (1965) estimates it in
 each row from the readings before and after, along the filtered states x̂ with covariances P,
@@ -28,14 +28,14 @@ from cosim.refinement.decision.posterior import CERTAIN
 
 MAX_SMOOTHED_ROWS = 3000  # largest number of smoothed rows of a log
 LOGS = 2  # number of smoothed logs, from the first
-NUDGE = 1e-4  # difference step relative to the size of a state; kernel steps are smooth on this scale
+NUDGE = 1e-4  # difference step relative to the size of a state; kernel steps are smooth at this scale
 
 
 @dataclass(frozen=True, eq=False)
 class MissingInput:
-    """Missing input d of each forced equation in the rows of the first logs, one log after the other.
+    """Missing input d of each forced equation in the rows of the first logs, log after log.
 
-    Units are units of the state per second.
+    The unit of d is the unit of the state per second.
 
     Attributes:
         rows: Rows of each log.
@@ -51,7 +51,7 @@ class MissingInput:
     states: Array
 
     def of_logs(self, tables: Sequence[Array]) -> Array:
-        """Return these rows of a table of each log."""
+        """Return the rows `rows` of a table for each log, log after log."""
         return np.concatenate([table[rows] for table, rows in zip(tables, self.rows, strict=False)])
 
     def by_log(self, values: Array) -> list[Array]:
@@ -62,7 +62,7 @@ class MissingInput:
 def next_rows(
     problem: Problem, values: NamedValues, index: int, points: tuple[Rows, Array, Array]
 ) -> tuple[Array, Array]:
-    """Return the states at the next row and the outputs at each of some rows, from states and memories there."""
+    """Return the states at the next row, and the outputs, for each of some rows with given states and memories."""
     runs = problem.simulate_from(values, index, (points[0].tolist(), *points[1:]))
     return np.array([run.states[1] for run in runs]), np.array([run.outputs[0] for run in runs])
 
@@ -75,11 +75,11 @@ def outputs_along(problem: Problem, index: int, values: NamedValues, run: Filter
 
 
 def smooth_logs(problem: Problem, base: Fit, every: int = 1, *, deviations: bool = False) -> MissingInput:
-    """Return the smoothed missing inputs of the first logs; of free runs what drives the deviations.
+    """Return the smoothed missing inputs of the first logs; for free runs, the inputs that drive the deviations.
 
     Args:
         every: Rows between two linearizations.
-        deviations: Return the filtered deviations of the outputs of free runs.
+        deviations: For free runs, return the filtered deviations of the outputs instead.
     """
     layout, noise, found = problem.layout, loosen_noise(problem, base.noise), list[tuple[Any, ...]]()
     names, reached = layout.uncertain, list(layout.stochastic)
@@ -89,7 +89,7 @@ def smooth_logs(problem: Problem, base: Fit, every: int = 1, *, deviations: bool
         count = min(len(data.u), MAX_SMOOTHED_ROWS)
         last = count if deviations else count - 1
         scored, x = slice(min(count_unscored(data), last), last), run.states[:count, reached]
-        if run.covariances is None:  # the filtered inputs, as uncertain as before any reading
+        if run.covariances is None:  # filtered inputs, with the uncertainty before any reading
             sigma = np.tile(np.exp(0.5 * noise.power), (count, 1))
         else:
             P = run.covariances[:count]
@@ -107,7 +107,7 @@ def smooth_logs(problem: Problem, base: Fit, every: int = 1, *, deviations: bool
 
 
 def _smooth(x: Array, P: Array, ahead: Array, F: Array, Q: Array) -> tuple[Array, Array]:
-    """Return the smoothed states and their covariances, from the filtered ones, their predictions and transitions."""
+    """Return smoothed states and covariances, from filtered ones, their predictions and transition matrices."""
     x, P = x.copy(), P.copy()
     for k in range(len(x) - 2, -1, -1):
         spread = F[k] @ P[k] @ F[k].T + Q
@@ -118,9 +118,9 @@ def _smooth(x: Array, P: Array, ahead: Array, F: Array, Q: Array) -> tuple[Array
 
 
 def _transitions_of_deviations(problem: Problem, values: NamedValues, noise: Noise, index: int) -> Array:
-    """Return the transition of a free run's random states from each row to the next.
+    """Return the transition matrices of a free run's random states, from each row to the next.
 
-    These are the deviations a row earlier, what drives the deviations, the deviations, and constants.
+    Random states are the previous row's deviations, the inputs that drive deviations, the deviations, and constants.
     """
     layout, data = problem.layout, problem.data(values, index)
     ny, n = len(layout.outputs), len(layout.stochastic)
@@ -135,7 +135,7 @@ def _transitions_of_deviations(problem: Problem, values: NamedValues, noise: Noi
 
 
 def smoothed_logs(problem: Problem) -> range:
-    """Return the indices of the logs to smooth."""
+    """Return the indices of the logs that are smoothed."""
     return range(min(LOGS, len(problem.logs)))
 
 
@@ -148,7 +148,7 @@ def unknown_inputs(problem: Problem, at: Fit, units: Mapping[str, str]) -> dict[
     names, powers = problem.layout.forced, np.exp(0.5 * at.noise.power)
     largest: dict[tuple[str, int], float] = {}  # unit and order → range of the derivatives
     orders = [1] * len(problem.layout.noisy)
-    if problem.layout.is_free_run:  # 2 for an output whose velocity is hidden
+    if problem.layout.is_free_run:  # 2 if the velocity of the output is hidden
         matrix = problem.kernel.responses(problem.logs[0], problem.x0[0])[1]  # type: ignore[attr-defined]
         orders = [1 + bool(matrix[:, j].any()) for j in range(len(orders), 2 * len(orders))]
     kinds = {n: (units[n], order) for n, order in zip(names, orders, strict=True)}
@@ -164,7 +164,7 @@ def unknown_inputs(problem: Problem, at: Fit, units: Mapping[str, str]) -> dict[
 
 
 def loosen_noise(problem: Problem, noise: Noise) -> Noise:
-    """Return noise with which a filter follows model errors.
+    """Return noise with which the filter's unknown inputs follow model errors.
 
     A fit without unknown inputs counts model errors as sensor noise; the stated sensor noise then replaces it.
     """
@@ -174,9 +174,10 @@ def loosen_noise(problem: Problem, noise: Noise) -> Noise:
 
 
 def contributions(problem: Problem, base: Fit, after: Fit, index: int) -> Array:
-    """Return the contribution of a claim to each equation.
+    """Return the contribution of a claim to each forced equation in the smoothed rows.
 
-    Both steps start from the refined estimate of the measured states and from their own estimate of the rest.
+    Both steps (with and without the claim) start from the refined model's estimate of measured states, and from their
+    own estimates of the other states.
     """
     layout, data = problem.layout, problem.logs[index]
     runs = [problem.run(f.values, f.noise, index) for f in (base, after)]
@@ -199,7 +200,7 @@ def _linear(
     """Return the prediction of each next row from the filtered states, and its derivative by finite differences."""
     reached, states, memory = list(problem.layout.stochastic), run.states[: rows - 1], run.memory[: rows - 1]
     size = NUDGE * np.maximum(np.abs(states[:, reached]).max(axis=0), np.sqrt(np.diag(problem.P0)))
-    size = np.where(size > 0.0, size, NUDGE)  # A fixed parameter per log may be 0.
+    size = np.where(size > 0.0, size, NUDGE)  # a fixed parameter per log may be 0
     every_row, some = np.arange(rows - 1), np.arange(0, rows - 1, every)
     ahead = next_rows(problem, values, index, (every_row, states, memory))[0][:, reached]
     F = np.empty((rows - 1, len(reached), len(reached)))

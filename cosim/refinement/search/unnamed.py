@@ -1,10 +1,10 @@
-"""Unnamed terms for a residual that no effect of the catalogue explains.
+"""Unmodelled dynamics: terms for a residual that no effect of the catalogue explains.
 
 At the fit of a hypothesis, a term c·φ(signal) in the equation of a forced state has a predicted gain of ½·g²/F, with g
-the score and F the information of c after projection on the further free parameters. A gain is no chance if the χ² test
-of the best of all terms says so (Bonferroni). Such terms are fitted in addition to the hypothesis before any conclusion
-about the equation, its signals, and the hypothesis itself. Of terms that these logs hardly distinguish, the simplest is
-taken.
+the score and F the information of c after projection on the further free parameters. A gain is not due to chance if it
+passes the χ² test for the best of all terms (Bonferroni). Such terms are fitted in addition to the hypothesis, before
+any conclusion about the equation, its signals and the hypothesis itself. Among terms that these logs hardly
+distinguish, the simplest is used.
 """
 
 from __future__ import annotations
@@ -40,12 +40,12 @@ class UnnamedTerm:
     """A term outside the catalogue in the equation of a forced state.
 
     Attributes:
-        equation: State whose derivative has the shape, or `reading of` an output.
-        signal: Basis such as `1` or `|velocity|`; for a local shape its signal.
+        equation: State whose derivative has the term, or `reading of` an output.
+        signal: Basis function such as `1` or `|velocity|`; for a local shape, its signal.
         gain: Log-likelihood gain, predicted or fitted.
-        sizes: Coefficients: one, or those of the bumps of a spline.
-        share: Share of the variance of the equation's unknown input that the fitted terms remove.
-        shape: Local shape.
+        sizes: Coefficients: one per term, or one per bump of a spline.
+        share: Share of the variance of the equation's unknown input that all fitted terms remove.
+        shape: Local shape; None for a basis function.
         slot: Number of the local shape in the kernel's parameters.
         like: Law that the local shape resembles, in words; "" for none.
     """
@@ -87,15 +87,15 @@ class UnnamedTerm:
 
 @dataclass(frozen=True)
 class Leftover:
-    """Terms beside a hypothesis.
+    """Unmodelled dynamics that are fitted in addition to a hypothesis.
 
     Attributes:
-        terms: Likeliest first, with fitted values.
-        fit: Hypothesis with these terms; None without terms.
+        terms: Terms with fitted values, most likely first.
+        fit: Fit of the hypothesis with these terms; None without terms.
         gain: Log-likelihood gain of all terms together.
-        among: Number of coefficients tried.
-        is_stable: Whether a term of the same signal is among the likeliest without any one log.
-        is_placed: Whether one of the same equation is.
+        among: Number of coefficients that were tried.
+        is_stable: True if, without any single log, a term of the same signal is still among the most likely.
+        is_placed: True if, without any single log, a term of the same equation is still among the most likely.
     """
 
     terms: tuple[UnnamedTerm, ...] = ()
@@ -106,16 +106,16 @@ class Leftover:
     is_placed: bool = True
 
 
-LINEAR = 1e-5, 1.0  # change of the innovations by a step, in standard deviations: above rounding, and linear
+LINEAR = 1e-5, 1.0  # change of the innovations by a step, in standard deviations: above rounding, and still linear
 
 
 def find_unnamed_terms(problem: Problem, at: Fit, price: float, units: Mapping[str, str]) -> Leftover:
-    """Return unnamed terms in addition to a fit whose gain is no chance.
+    """Return terms, in addition to a fit, whose gain is not due to chance.
 
     Args:
-        problem: Problem with unnamed terms in the kernel.
+        problem: Problem whose kernel includes unmodelled dynamics.
         at: Fit of the same logs without these terms.
-        price: Score cost of a coefficient.
+        price: Complexity penalty of a coefficient in the score.
         units: Units of time, states and commands; local shapes use differences of states with equal units.
     """
     test = ScoreTest(problem, at)
@@ -145,13 +145,13 @@ def find_unnamed_terms(problem: Problem, at: Fit, price: float, units: Mapping[s
         return among * chance_of_gain(gain / problem.scatter, len(u.names)) > MISFIT
 
     def likeliest(gains: Sequence[float]) -> list[int]:
-        """Return the terms that are nearly as likely as the best, simplest first."""
+        """Return the indices of terms that are nearly as likely as the best one, simplest first."""
         nets = [gain / problem.scatter - price * len(u.names) for u, gain in zip(terms, gains, strict=True)]
         return [k for k, net in enumerate(nets) if net >= max(nets) - float(logit(CERTAIN))]
 
     chosen: list[UnnamedTerm] = []
     before, sum_before = list[Array](), 0.0
-    while terms and len(chosen) < SLOTS:  # each local shape has a slot of the kernel
+    while terms and len(chosen) < SLOTS:  # each local shape needs a slot of the kernel
         gains = [test.gain([*before, *rows])[0] - sum_before for rows, _ in found]
         k = likeliest(gains)[0]
         u, (rows, steps) = terms[k], found[k]
@@ -173,7 +173,7 @@ def find_unnamed_terms(problem: Problem, at: Fit, price: float, units: Mapping[s
         refitted = []
         for u in chosen:
             sizes = tuple(fitted.values[name] for name in u.names)
-            gain = 0.5 * float(np.array(sizes) @ fitted.marginal(u.names) @ np.array(sizes))  # beside all other terms
+            gain = 0.5 * float(np.array(sizes) @ fitted.marginal(u.names) @ np.array(sizes))  # with all terms
             refitted.append(replace(u, gain=gain, sizes=sizes))
         refitted.sort(key=lambda u: price * len(u.names) - u.gain / problem.scatter)
         if not is_chance(refitted[-1], refitted[-1].gain):
@@ -203,12 +203,12 @@ def find_unnamed_terms(problem: Problem, at: Fit, price: float, units: Mapping[s
     )
 
 
-# Shapes of unnamed terms over a signal, or over time.
+# Local shapes of unmodelled dynamics over a signal or over time.
 #
 # A smoother estimates the missing input of each equation in each row. Regression on shapes over time, each state, each
-# command, and each difference of two states with equal units selects the most promising ones for a filter run: bumps,
-# steps, and rows of bumps (splines). The spectra over each signal, and over time, select waves. A factor, such as a
-# velocity or a command, may multiply a shape.
+# command, and each difference of two states with equal units selects the best ones for a filter run: bumps, steps, and
+# rows of bumps (splines). Spectra over each signal and over time select waves. A factor, such as a velocity or a
+# command, may multiply a shape.
 #
 
 
@@ -225,12 +225,12 @@ class Shape:
 
     Attributes:
         equation: Forced state, or `reading of` an output.
-        of: Signal of the shape, or two signals for their difference.
+        of: Signal of the shape; two signals mean their difference.
         kind: `bump`, `step`, `spline` or `wave`.
-        place: Centre; of a spline, the centre of its first bump; of a wave, the point of zero phase.
+        place: Centre of a bump or step, centre of the first bump of a spline, or point of zero phase of a wave.
         width: Width of a bump at half its height, length of the transition of a step, distance between the bumps of a
             spline, period of a wave.
-        times: Signals that multiply the shape; may be empty.
+        times: Signals that multiply the shape, possibly none.
         unit: Unit of place and width.
     """
 
@@ -265,7 +265,7 @@ class Shape:
 
     @property
     def per(self) -> float:
-        """Return the normalised signal ζ per unit of the signal."""
+        """Return the change of the normalised signal ζ per unit of the signal."""
         return {"spline": 1.0, "wave": 2.0 * np.pi}.get(self.kind, 2.0) / self.width
 
     def settings(self, slot: int) -> dict[str, float]:
@@ -315,11 +315,11 @@ def signal_units(subject: Subject) -> dict[str, str]:
 
 
 def promising_shapes(test: ScoreTest, price: float, units: Mapping[str, str]) -> tuple[list[Shape], int, Signals]:
-    """Return the likeliest shape of each kind and equation beside a fit, the number of shapes tried, and the signals.
+    """Return the most likely shape of each kind and equation, the number of shapes tried, and the signals.
 
     Args:
         test: Score test at the fit.
-        price: Score cost of a coefficient.
+        price: Complexity penalty of a coefficient in the score.
         units: Units of the signals; two states with equal units also give a difference signal.
     """
     problem, at, prefix = test.problem, test.at, f"{LOCAL}.1.of."
@@ -357,7 +357,7 @@ def promising_shapes(test: ScoreTest, price: float, units: Mapping[str, str]) ->
 
 
 def _shapes(problem: Problem, equation: str, signals: Signals, units: Mapping[str, str]) -> Iterator[Shape]:
-    """Yield the shapes of an equation: over each signal bumps of two widths, steps and a spline."""
+    """Yield the shapes of an equation: over each signal, bumps of two widths, steps and a spline."""
     rates = problem.layout.rates
     states = [n for n in signals if n in {*problem.layout.states, *rates.values()}]
     pairs = [(a, b) for a, b in combinations(states, 2) if units.get(a, a) == units.get(b, b)]
@@ -382,9 +382,9 @@ def _shapes(problem: Problem, equation: str, signals: Signals, units: Mapping[st
 
 
 def _likely_waves(test: ScoreTest, missing: MissingInput, signals: Signals) -> tuple[list[Shape], int]:
-    """Return the wave over time, and that over another signal, with the highest lines of spectra; the lines tried.
+    """Return the waves with the highest spectral lines, over time and over another signal, and the number of lines.
 
-    Spectra are those of the innovations, times a factor.
+    Spectra are computed from the innovations, multiplied by a factor.
     """
     commands = [n for n in signals if n.startswith("command ")]
     tables = missing.by_log(missing.of_logs(innovations_of_logs(test)))
@@ -397,8 +397,8 @@ def _likely_waves(test: ScoreTest, missing: MissingInput, signals: Signals) -> t
             by = values_of(signals, (factor,))[:, None] if factor else np.ones((len(z), 1))
             own = zip(missing.by_log(z), tables, missing.by_log(by), strict=True)
             frequency, height = spectrum_along([(q, table * times) for q, table, times in own], low)
-            line = 2 + int(np.argmax(height[2:]))  # one period in the travel at least
-            over = float(height[line] / np.mean(height)) if height.any() else 0.0  # of logs at rest
+            line = 2 + int(np.argmax(height[2:]))  # at least one period in the travel
+            over = float(height[line] / np.mean(height)) if height.any() else 0.0  # logs may be at rest
             if over > found.get(name == "time", (0.0, None))[0]:
                 wave = Shape("", (name,), "wave", 0.0, 1.0 / float(frequency[line]), (factor,) if factor else ())
                 found[name == "time"] = over, wave
@@ -407,10 +407,10 @@ def _likely_waves(test: ScoreTest, missing: MissingInput, signals: Signals) -> t
 
 
 def law_of(terms: Sequence[tuple[Shape, Sequence[float]]], signals: Signals, *, is_rate: bool) -> str:
-    """Return the laws that local shapes over one signal resemble together, in words; "" for none.
+    """Return a phrase on the laws that local shapes over one signal together resemble; "" for none.
 
-    Laws are compared as far as the shapes can follow them, which takes a spline. A straight line is no law of its own,
-    since parameters of the model take its place.
+    Each law is compared as a spline approximates it. A straight line is not a law, because parameters of the model can
+    represent it.
 
     Args:
         terms: Shapes with their coefficients.
@@ -444,13 +444,13 @@ def law_of(terms: Sequence[tuple[Shape, Sequence[float]]], signals: Signals, *, 
     return " or ".join(n for n in sorted(shares, key=lambda n: -shares[n]) if shares[n] > 1.0 - LITTLE)
 
 
-# Likely periods of forces that repeat along a position, before a score test.
+# Likely periods of forces that repeat along a position, determined before a score test.
 #
-# A force that repeats many times over the travel promises nothing at another period, and no fit finds its own from
-# there. The innovations of the base fit, ordered by position, show the period as a line of their spectrum. Behind the
-# force they are late by the response of the machine, which both directions of motion shift to opposite sides, so that
-# each direction has a spectrum of its own. A score test of the strongest lines and of the usual periods decides, and
-# climbs from the best.
+# A force that repeats many times over the travel has no predicted gain at another period, and no fit finds its period
+# from there. The innovations of the base fit, ordered by position, show the period as a line of their spectrum.
+# Innovations lag behind the force by the response of the machine, which shifts them to opposite sides for the two
+# directions of motion, so that each direction has a spectrum of its own. A score test of the strongest lines and of the
+# usual periods decides, and then searches around the best one.
 
 
 RADIAN = 2.0 * math.pi  # standard deviations of a position in the shortest period: one radian of its phase
@@ -460,7 +460,7 @@ MAX_TESTED_LINES = 3  # strongest lines that a score test compares
 def with_likely_periods(
     test: ScoreTest, candidates: Sequence[Candidate], known: Sequence[str]
 ) -> tuple[list[Candidate], dict[str, float]]:
-    """Return the candidates and their periods, those that promise most; the test then uses them.
+    """Return the candidates, and their periods with the largest predicted gain, which the test then uses.
 
     Args:
         known: Names of candidates in the fit, which keep their periods.
@@ -485,7 +485,7 @@ def _with_period(test: ScoreTest, c: Candidate) -> Candidate:
         return test.gain([test.row(start | {f.name: DIFFERENCE_SHARE * f.size}) for f in sizes])[0]
 
     def at(cycles: float, value: float) -> float:
-        """Return the period with some more cycles over the travel."""
+        """Return the period with `cycles` more cycles over the travel."""
         return min(max(1.0 / (1.0 / value + cycles / travel), low), period.high)
 
     tried = [*(start[name] for start in c.starts), *_lines(test, positions, low, period.high)]
@@ -494,7 +494,7 @@ def _with_period(test: ScoreTest, c: Candidate) -> Candidate:
         lambda cycles: -gain(at(cycles, near)), bounds=(-1.0, 1.0), method="bounded", options={"xatol": DIFFERENCE}
     )
     best = test.values[name] = at(float(climb.x), near)
-    size = best**2 / (RADIAN * travel)  # moves the phase over the travel by 1
+    size = best**2 / (RADIAN * travel)  # changes the phase over the travel by 1 rad
     free = tuple(replace(f, low=low, size=size) if f.name == name else f for f in c.free)
     return replace(c, free=free, among=max(1, round(travel / low)), starts=({**c.starts[0], name: best},))
 
@@ -502,8 +502,8 @@ def _with_period(test: ScoreTest, c: Candidate) -> Candidate:
 def _along(test: ScoreTest, name: str) -> tuple[list[Array], float]:
     """Return the filtered position in the rows of each log, and its standard deviation.
 
-    The deviation is that of the sensor, or of the filtered state if that is larger. A periodic force of a shorter
-    period cannot be estimated.
+    The standard deviation is that of the sensor or, if larger, of the filtered state. Forces with shorter periods
+    cannot be estimated.
     """
     problem, layout = test.problem, test.problem.layout
     places = [layout.states.index(n) for n in (name, DEVIATION + name) if n in layout.states]
@@ -520,7 +520,7 @@ def _along(test: ScoreTest, name: str) -> tuple[list[Array], float]:
 
 def _lines(test: ScoreTest, positions: Sequence[Array], low: float, high: float) -> Iterator[float]:
     """Yield the periods of the strongest lines in the spectrum of the innovations along the position."""
-    from scipy.signal import find_peaks  # only here: it takes half a second to import
+    from scipy.signal import find_peaks  # imported here, since the import takes half a second
 
     frequency, height = spectrum_along([*zip(positions, innovations_of_logs(test), strict=True)], low)
     height[frequency * high < 1.0] = 0.0
@@ -530,7 +530,7 @@ def _lines(test: ScoreTest, positions: Sequence[Array], low: float, high: float)
 
 
 def innovations_of_logs(test: ScoreTest) -> list[Array]:
-    """Return the normalised innovations of each log, shape (rows, outputs), beside what free parameters imitate."""
+    """Return the normalised innovations of each log (rows, outputs), without what free parameters can imitate."""
     tables = []
     parts = test.scored.of_each_log(test.residual[: len(test.scored.errors)])
     for part, readings, log in zip(parts, test.problem.readings, test.problem.logs, strict=True):
@@ -540,7 +540,7 @@ def innovations_of_logs(test: ScoreTest) -> list[Array]:
 
 
 def spectrum_along(tracks: Sequence[tuple[Array, Array]], low: float) -> tuple[Array, Array]:
-    """Return the frequencies and the spectrum of tables along positions, each direction of motion by itself.
+    """Return frequencies and spectrum of tables along positions, with a separate spectrum per direction of motion.
 
     Args:
         tracks: Positions and table of each log, shapes (rows,) and (rows, columns).
