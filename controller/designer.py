@@ -14,7 +14,6 @@ from pydantic import AfterValidator, Field
 from controller.design_model import Matrix
 from controller.settings import (
     OF_CRAFT,
-    FullSettings,
     IntegralSettings,
     PredictiveSettings,
     Settings,
@@ -156,7 +155,7 @@ def controller_starts(
     places = dict[str, Place]()  # start value → option that is used unchanged
     declared, values = {p.name: p.default for p in parameters_of(kind)}, dict[str, Any]()
     if craft is not None:
-        values = {n: getattr(craft, n) for n in OF_CRAFT} if name == TIME_VARIANT else {}
+        values = {n: getattr(craft, n) for n in OF_CRAFT} if predicts else {}
         values |= {n: value for n, value in numbers_of(craft).items() if n in declared}
     for place, start in (UNCHANGED | OF_PREDICTION if predicts else UNCHANGED).items():
         if (value := options[str(place[0])]) is not None:
@@ -197,8 +196,8 @@ def _judged(
         axis = "turning" if large[0].name[-1] in "347" else "forward"  # columns of K and K_i for ψ
         reason = f"results in a gain of {size:.3g}, above the controller's limit of {limit:g}; design a slower loop"
         return [(_place_of(axis, options, name), reason)], []
-    names = {p.name for p in parameters_of(FullSettings)} | {"estimator"}
-    p = FullSettings(**{n: v for n, v in values.items() if n in names})
+    names = {p.name for p in parameters_of(Settings)} | {"estimator"}
+    p = Settings(**{n: v for n, v in values.items() if n in names})
     try:
         modes = flown_modes(p, K)
     except np.linalg.LinAlgError:  # The estimator has no steady gain.

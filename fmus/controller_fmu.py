@@ -30,6 +30,8 @@ from cosim.model import parameters_of
 from plant.hovercraft import DUTY_NOMINAL, Hovercraft
 
 Dependencies = Mapping[str, Sequence[str]]
+FLIGHT = "Flight controller of the hovercraft: "
+LOOP, DESIGN_MODEL = "loop:Loop", "design_model:discrete_model"  # documented parts
 ESTIMATED = {  # name → unit, meaning
     "x": ("m", "distance along the craft's own axis"),
     "vx": ("m/s", "forward velocity"),
@@ -133,12 +135,18 @@ class SampledSlave(Slave):
 
     Attributes:
         who: Noun for messages.
+        about: Description of the FMU.
+        parts: Documented objects in `controller`, as `module:name`.
+        needs_jacobians: True if the FMU includes generated Jacobians of the craft, so that it does not need sympy.
         settings: Default values.
         depends: Dependencies of outputs at a sample, and in initialization mode.
         running: The running loop or filter, with its complete state.
     """
 
     who: ClassVar[str]
+    about: ClassVar[str]
+    parts: ClassVar[tuple[str, ...]]
+    needs_jacobians: ClassVar[bool] = False
     settings: ClassVar[Noise]
     depends: ClassVar[tuple[Dependencies, Dependencies]]
     running: Any
@@ -184,13 +192,11 @@ class HovercraftController(SampledSlave):
     """Sampled controller: a communication step is one sample; other steps than `sample_time` are rejected.
 
     The hosting Python needs numpy, scipy and filterpy. The filter starts at `*_hat_start`.
-
-    Attributes:
-        settings: Default values.
-        depends: Dependencies of outputs at a sample, and in initialization mode.
     """
 
     who = "controller"
+    about = f"{FLIGHT}Kalman filter and LQR with tilt saturation"
+    parts: ClassVar[tuple[str, ...]] = (LOOP, DESIGN_MODEL)
     feedback: ClassVar[type[Law]] = StateFeedback
     settings: ClassVar[Settings] = Settings()
     ports = controller_ports(settings)
@@ -221,6 +227,7 @@ class HovercraftPolesController(HovercraftController):
     two poles are equal, one in each axis.
     """
 
+    about = f"{FLIGHT}Kalman filter and poles placed, with tilt saturation"
     settings = PLACED_SETTINGS
     ports = controller_ports(settings)
 
@@ -228,6 +235,8 @@ class HovercraftPolesController(HovercraftController):
 class HovercraftIntegralController(HovercraftController):
     """LQR with integral action on measured errors: of x from position fixes, of ψ from the IMU."""
 
+    about = f"{FLIGHT}Kalman filter and LQR with integrals of position and heading"
+    parts = (LOOP, DESIGN_MODEL, "loop:IntegralFeedback")
     feedback = IntegralFeedback
     settings = INTEGRAL_SETTINGS
     ports = controller_ports(settings, *INTEGRALS)
@@ -262,23 +271,19 @@ class HovercraftPredictiveController(HovercraftController):
     The host also needs the solver daqp.
     """
 
+    about = f"{FLIGHT}Kalman filter and model predictive control with limits"
+    parts = (LOOP, DESIGN_MODEL, "predictive:PredictiveLaw", "observers:HoverFilter")
+    needs_jacobians = True
     settings: ClassVar[Settings] = PredictiveSettings()
     ports = controller_ports(settings, *LATERAL)
     depends = predictive_dependencies(ports)
 
     def law(self, settings: Any, given: dict[str, Value]) -> Law:
-        """Return the predictive law, with the Jacobians that were printed when the FMU was built, if it needs them.
-
-        The solver is imported here, since other controllers do not need it.
-        """
+        """Return the predictive law; its solver is imported here, since other controllers do not need it."""
+        from controller import printed  # type: ignore[attr-defined]  # printed when the FMU is built
         from controller.predictive import PredictiveLaw
 
-        y_hat = float(given.get("y_hat_start", 0.0))
-        if not isinstance(settings, TimeVariantSettings):
-            return PredictiveLaw(settings, y_hat=y_hat)
-        from controller import printed  # type: ignore[attr-defined]
-
-        return PredictiveLaw(settings, vars(printed), y_hat)
+        return PredictiveLaw(settings, vars(printed), float(given.get("y_hat_start", 0.0)))
 
 
 class HovercraftTimeVariantController(HovercraftPredictiveController):
@@ -287,6 +292,8 @@ class HovercraftTimeVariantController(HovercraftPredictiveController):
     Tilt and duty are limited. With position fixes, y is controlled too. The host also needs the solver daqp.
     """
 
+    about = f"{FLIGHT}extended Kalman filter and predictive control along the planned motion"
+    parts = (LOOP, "predictive:PredictiveLaw", "observers:ExtendedFilter")
     settings = TimeVariantSettings()
     ports = controller_ports(settings, *LATERAL)
     depends = predictive_dependencies(ports, own_filter=True)
@@ -331,6 +338,8 @@ class Estimator(SampledSlave):
 class HovercraftFilter(Estimator):
     """Kalman filter of the thesis in three variants, or double integration, by parameter `estimator`."""
 
+    about = "Estimators of the hovercraft: three Kalman filters, double integration"
+    parts = ("observers:LinearFilter", DESIGN_MODEL, "observers:DoubleIntegration")
     settings = FilterSettings()
     ports = (*SIGNALS, *settings_ports(settings, "estimator", f"estimator: {', '.join(settings.choices['estimator'])}"))
 
@@ -343,6 +352,9 @@ class HovercraftFilter(Estimator):
 class HovercraftEkf(Estimator):
     """Extended Kalman filter with the plant's equations as an FMU."""
 
+    about = "Extended Kalman filter of the hovercraft on the plant's equations"
+    parts = ("observers:ExtendedFilter",)
+    needs_jacobians = True
     settings = ExtendedSettings()
     ports = (
         *SIGNALS,
