@@ -51,7 +51,7 @@ class ComponentPage:
     Attributes:
         template: Extends run.html.j2.
         values: Values of the template besides the values of every page.
-        tiles: Key figures.
+        tiles: Key figures, by default those of the criteria.
         shown: Columns in these sections, omitted from the signals.
         data: Data of the script.
     """
