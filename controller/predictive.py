@@ -27,7 +27,7 @@ POSITIONS = [NAMES.index(name) for name in ("x", "y", "psi")]
 SOLVED = (1, 2)  # flags of DAQP: optimal, also with an exceeded soft limit
 HARD, SOFT = 0, 8  # kinds of limits in DAQP
 ZERO_MULTIPLIER = 1e-9  # multipliers below are zero
-SERIES_LIMIT = 0.25  # multipliers below this value are zero
+SERIES_LIMIT = 0.25  # largest h·|A| of a short step in the series of the exponential
 
 
 class Condensed(NamedTuple):

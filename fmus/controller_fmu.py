@@ -248,20 +248,17 @@ class HovercraftIntegralController(HovercraftController):
 
 
 def predictive_dependencies(ports: Sequence[Port], *, own_filter: bool = False) -> tuple[Dependencies, Dependencies]:
-    """Return dependencies of the outputs. Commands depend on all inputs and parameters.
-
-    With `own_filter`, estimates do too.
-    """
+    """Return dependencies of the outputs: commands depend on all inputs or numbers, with `own_filter` estimates too."""
     inputs = tuple(p.name for p in ports if p.causality == "input")
-    parameters = [p.name for p in ports if p.causality == "parameter" and p.kind == "Real"]
-    known = ("x_ref", "psi_ref", "y_ref", *(name for name in parameters if not name.startswith("k_")))
+    numbers = [p.name for p in ports if p.causality == "parameter" and p.kind == "Real" and p.name[:2] != "k_"]
     solved = ("duty_right", "duty_left", "tilt_right", "tilt_left", "iterations", "solved")
     at_sample = {**DEPENDENCIES, "y_hat": ("y_meas", "fix"), "y_sigma": ("fix",), **dict.fromkeys(solved, inputs)}
-    at_start = {**INITIAL_DEPENDENCIES, "y_hat": ("y_hat_start",), "y_sigma": (), **dict.fromkeys(solved, known)}
+    at_start = dict.fromkeys(solved, ("x_ref", "psi_ref", "y_ref", *numbers))
+    at_start = {**INITIAL_DEPENDENCIES, "y_hat": ("y_hat_start",), "y_sigma": (), **at_start}
     if own_filter:
         estimates = (*ESTIMATE, "x_sigma", "psi_sigma", "y_hat", "y_sigma")
         at_sample |= dict.fromkeys(estimates, tuple(n for n in inputs if not n.endswith("_ref")))
-        at_start["a_hat"] = tuple(n for n in known if not n.endswith("_ref"))
+        at_start["a_hat"] = tuple(numbers)
     return at_sample, at_start
 
 
