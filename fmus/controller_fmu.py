@@ -253,8 +253,8 @@ def predictive_dependencies(ports: Sequence[Port], *, own_filter: bool = False) 
     numbers = [p.name for p in ports if p.causality == "parameter" and p.kind == "Real" and p.name[:2] != "k_"]
     solved = ("duty_right", "duty_left", "tilt_right", "tilt_left", "iterations", "solved")
     at_sample = {**DEPENDENCIES, "y_hat": ("y_meas", "fix"), "y_sigma": ("fix",), **dict.fromkeys(solved, inputs)}
-    at_start = dict.fromkeys(solved, ("x_ref", "psi_ref", "y_ref", *numbers))
-    at_start = {**INITIAL_DEPENDENCIES, "y_hat": ("y_hat_start",), "y_sigma": (), **at_start}
+    at_start = {**INITIAL_DEPENDENCIES, "y_hat": ("y_hat_start",), "y_sigma": ()}
+    at_start |= dict.fromkeys(solved, ("x_ref", "psi_ref", "y_ref", *numbers))
     if own_filter:
         estimates = (*ESTIMATE, "x_sigma", "psi_sigma", "y_hat", "y_sigma")
         at_sample |= dict.fromkeys(estimates, tuple(n for n in inputs if not n.endswith("_ref")))
@@ -269,7 +269,7 @@ class HovercraftPredictiveController(HovercraftController):
     """
 
     about = f"{FLIGHT}Kalman filter and model predictive control with limits"
-    parts = (LOOP, DESIGN_MODEL, "predictive:PredictiveLaw", "observers:HoverFilter")
+    parts: ClassVar[tuple[str, ...]] = (LOOP, DESIGN_MODEL, "predictive:PredictiveLaw", "observers:HoverFilter")
     needs_jacobians = True
     settings: ClassVar[Settings] = PredictiveSettings()
     ports = controller_ports(settings, *LATERAL)

@@ -148,14 +148,14 @@ def thrust_line(m: Measurement) -> Result:
     covariance = np.cov(result.each.T) / len(result.each) + result.shifts.T @ result.shifts
     half = stats.t.ppf(0.975, len(result.each) - 1) * np.sqrt(np.einsum("ik,ij,jk->k", basis, covariance, basis))
     fitted, some = a + b * grid, slice(None, None, max(1, duty.size // 1500))
-    lines = [
+    drawn = [
         ("readings", duty[some], raw[some], "dots"),
         ("unbiased", grid, fitted, "true"),
         ("thesis' estimator", grid, offset + slope * grid, "s1"),
         ("printed, eq 4.20", grid, -2076.0 + 359.9 * grid, "reference"),
     ]
     band, title = ("95 % of the line", grid, fitted - half, fitted + half), "Thrust over duty: readings and lines"
-    result.figures = [Figure(title, "duty [%]", "gf", lines, band, counterparts=("4.10", "4.11"))]
+    result.figures = [Figure(title, "duty [%]", "gf", drawn, band, counterparts=("4.10", "4.11"))]
     return result
 
 
@@ -555,7 +555,7 @@ def after_sines(m: Measurement) -> Result:
         mean, half, *_ = interval(ours)
         result.details |= {key: mean.tolist(), f"{key}_half": half.tolist()}
         result.details[f"thesis_{key}"] = by_hand.mean(axis=0).tolist()
-        lines = [
+        drawn = [
             ("thesis' estimator", x / apart, by_hand.ravel(), "dots pale"),
             ("sines fitted", x * apart, ours.ravel(), "dots"),
             ("thesis' estimator, mean", frequencies, by_hand.mean(axis=0), "s1"),
@@ -563,7 +563,7 @@ def after_sines(m: Measurement) -> Result:
         ]
         bars, title = [(frequencies, mean - half, mean + half)], f"Tilt response, {key.partition('_')[0]}"
         result.figures.append(
-            Figure(title, "frequency [rad/s]", unit, lines, bars=bars, counterparts=("4.17", "4.18"), log=True)
+            Figure(title, "frequency [rad/s]", unit, drawn, bars=bars, counterparts=("4.17", "4.18"), log=True)
         )
     return result
 
