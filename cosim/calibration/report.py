@@ -34,7 +34,7 @@ def page(record: Record, estimate: Estimate, parts: Sequence[Part]) -> str:
     if verdict == "improved" and not estimate.settled:  # not counted as success yet
         verdict, tone = "improved, not converged", "warn"
     counts = {"log": len(record.logs), "sealed log": len(record.sealed), "simulation": record.simulations}
-    warnings = [(counted(len(record.warnings), "warning"), "warn")] if record.warnings else []
+    warnings = [(counted(n, noun), "warn") for noun in ("warning", "note") if (n := len(getattr(record, f"{noun}s")))]
     names, matrix = [n for n, p in record.parameters.items() if p.status != "held"], record.correlation or []
     strong = [
         f"{names[i]} and {names[j]} ({plain(matrix[i][j], 2)})"

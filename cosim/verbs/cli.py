@@ -295,6 +295,7 @@ def entry() -> None:
         if hasattr(stream, "reconfigure"):  # a terminal or file without UTF-8 cannot show a true minus sign
             stream.reconfigure(errors="backslashreplace")
     warnings.showwarning = lambda message, category, *place: warn(str(message))
+    warnings.simplefilter("ignore", RuntimeWarning)  # of numpy, about a trial that is rejected anyway
     try:
         chosen = _verb_to_complete() if "_COSIM_COMPLETE" in os.environ else (*sys.argv[1:], "-h")[0]
         code = command_line(chosen)(standalone_mode=False) or 0
