@@ -1,8 +1,8 @@
-"""Linear models of the craft: the design model of the thesis, and the plant's fourteen states at hover.
+"""Design model of the thesis, eqs 5.33 and 5.34, and the models of its filters.
 
-The design model, eqs 5.33 and 5.34, has the state (x, ẋ, ψ, ψ̇, a): distance along the craft's axis, its rate, heading,
+The design model has the state (x, ẋ, ψ, ψ̇, a): distance along the craft's axis, its rate, heading,
 yaw rate, thrust acceleration (F_Rx + F_Lx)/m, and the input (α_R, α_L). The thesis has the lag on the forward axis
-only, the plant on both axes (linearized in `cosim.model.symbolic.linearize`).
+only, the plant on both axes.
 """
 
 from __future__ import annotations
@@ -10,11 +10,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from controller.settings import PLANT_STATES, FilterSettings, FullSettings
-from plant.hovercraft import INPUTS
+from controller.settings import FilterSettings
 
 Matrix = NDArray[np.float64]
-PLANT_INPUTS = tuple(q.name for q in INPUTS)
 
 
 def design_model(p: FilterSettings) -> tuple[Matrix, Matrix]:
@@ -87,41 +85,3 @@ def discretize(A: Matrix, B: Matrix, step: float) -> tuple[Matrix, Matrix]:
     block[:n, :n], block[:n, n:] = A, B
     both = expm(step * block)
     return both[:n, :n], both[:n, n:]
-
-
-def full_model(p: FullSettings) -> tuple[Matrix, Matrix]:
-    """Return A (14, 14) and B (14, 4) about hover at ψ = 0, eqs 5.9-5.14 with 4.20 and 4.29.
-
-    v̇x = −c/m·vx + T_N/m·(α_R + α_L)          v̇y = −c/m·vy − 2·T_N/m·φ
-    ψ̈ = −d/Izz·ψ̇ + L·T_N/Izz·(α_R − α_L)      φ̈ = −k/Ixx·φ − d_φ/Ixx·φ̇ + L·Γ/Ixx·(T_R − T_L)
-    Ṫ = (dT/dδ·δ − T)/τ                        α̇ = (α_cmd − α)/τ                 Ẋ = vx,  Ẏ = −vy
-
-    States and inputs are those of the plant. Both axes have the lag; each propeller has its own thrust and tilt.
-    """
-    push, turn, lift = p.thrust_nominal / p.mass, p.arm * p.thrust_nominal / p.izz, p.arm * p.ground_gain / p.ixx
-    drag, damping = -p.friction / p.mass, -p.yaw_damping / p.izz
-    slopes = {
-        "x": {"vx": 1.0},
-        "y": {"vy": 1.0},
-        "x_world": {"vx": 1.0},
-        "y_world": {"vy": -1.0},
-        "psi": {"psi_dot": 1.0},
-        "phi": {"phi_dot": 1.0},
-        "vx": {"vx": drag, "tilt_right": push, "tilt_left": push},
-        "vy": {"vy": drag, "phi": -2.0 * push},
-        "psi_dot": {"psi_dot": damping, "tilt_right": turn, "tilt_left": -turn},
-        "phi_dot": {
-            "phi": -p.roll_stiffness / p.ixx,
-            "phi_dot": -p.roll_damping / p.ixx,
-            "thrust_right": lift,
-            "thrust_left": -lift,
-        },
-    }
-    A, B, at = np.zeros((14, 14)), np.zeros((14, 4)), PLANT_STATES.index
-    for k, state in enumerate(("thrust_right", "thrust_left", "tilt_right", "tilt_left")):
-        slopes[state] = {state: -1.0 / p.lag}
-        B[at(state), k] = (p.thrust_per_duty if k < 2 else 1.0) / p.lag
-    for row, entries in slopes.items():
-        for column, value in entries.items():
-            A[at(row), at(column)] = value
-    return A, B

@@ -14,7 +14,6 @@ from pydantic import AfterValidator, Field
 from controller.design_model import Matrix
 from controller.settings import (
     OF_CRAFT,
-    FullSettings,
     IntegralSettings,
     PredictiveSettings,
     Settings,
@@ -50,20 +49,19 @@ SETTINGS: Mapping[str, type[Settings]] = {
     PREDICTIVE: PredictiveSettings,
     TIME_VARIANT: TimeVariantSettings,
 }
-# option and index in its list → start value; a predictive law has no fifth state
-OPTION_START_VALUES: dict[Place, str] = {("thrust_nominal",): "thrust_nominal", ("lag",): "lag"}
-OF_PREDICTION: dict[Place, str] = {
-    ("horizon",): "horizon",
-    ("speed_max",): "speed_max",
-    **{("Q", k): f"weight_{state}" for k, state in enumerate(("x", "vx", "psi", "psi_dot"))},
-    **{("Q_lateral", k): f"weight_{state}" for k, state in enumerate(("y", "vy"))},
-    ("R", 0): "weight_tilt",
-    **{("duty_limits", k): f"duty_{end}" for k, end in enumerate(("min", "max"))},
-    ("R_duty",): "weight_duty",
+# start value → option that it takes unchanged, with the place in a list; a predictive law has no fifth state
+UNCHANGED: dict[str, Place] = {"thrust_nominal": ("thrust_nominal",), "lag": ("lag",)}
+OF_PREDICTION: dict[str, Place] = UNCHANGED | {
+    **{name: (name,) for name in ("horizon", "speed_max")},
+    **{f"weight_{state}": ("Q", k) for k, state in enumerate(("x", "vx", "psi", "psi_dot"))},
+    **{f"weight_{state}": ("Q_lateral", k) for k, state in enumerate(("y", "vy"))},
+    **{f"duty_{end}": ("duty_limits", k) for k, end in enumerate(("min", "max"))},
+    "weight_tilt": ("R", 0),
+    "weight_duty": ("R_duty",),
 }
 WEIGHTS = {"Q": [*Q_THESIS], "R": [*R_THESIS], "Q_integral": [*Q_INTEGRAL]}
 POLES_OF = {"forward": (0, 1, 2), "turning": (3, 4)}  # indices of the five poles
-Objections = list[tuple[Place, str]]  # reasons against a design, or warnings, each with the option concerned
+Objections = dict[Place, str]  # reasons against a design, or warnings, one at the place of an option
 
 
 def _complex(value: Any) -> Any:
@@ -127,12 +125,11 @@ def design(yaml: YamlFile, model: Model) -> tuple[dict[str, dict[str, Any]], lis
     """
     file = yaml.validate(DesignFile)
     craft = model if isinstance(model, Hovercraft) and model != Hovercraft() else None
-    starts: dict[str, dict[str, Any]] = {}
-    told: tuple[dict[Fault, None], dict[Fault, None]] = {}, {}
+    starts, told = dict[str, dict[str, Any]](), (dict[Fault, None](), dict[Fault, None]())
     for name in file.controllers:
         starts[name], *groups = controller_starts(name, file, craft)
         for faults, objections in zip(told, groups, strict=True):
-            for place, message in objections:
+            for place, message in objections.items():
                 at = place if place and place[0] in yaml.root else ()
                 faults[yaml.fault(at, f"{place[0]}: {message}" if place else message)] = None
     refuse(told[0])
@@ -153,57 +150,45 @@ def controller_starts(
         craft: Craft for which the design model is computed; None for the default parameters of the controller.
     """
     kind, options, predicts = SETTINGS[name], file.model_dump(), name in (PREDICTIVE, TIME_VARIANT)
-    places = dict[str, Place]()  # start value → option that sets it unchanged
     declared, values = {p.name: p.default for p in parameters_of(kind)}, dict[str, Any]()
     if craft is not None:
-        values = {n: getattr(craft, n) for n in OF_CRAFT} if name == TIME_VARIANT else {}
+        values = {n: getattr(craft, n) for n in OF_CRAFT} if predicts else {}
         values |= {n: value for n, value in numbers_of(craft).items() if n in declared}
-    for place, start in (OPTION_START_VALUES | OF_PREDICTION if predicts else OPTION_START_VALUES).items():
-        if (value := options[str(place[0])]) is not None:
-            places[start], values[start] = place, float(value[place[1]] if place[1:] else value)
+    places = OF_PREDICTION if predicts else UNCHANGED
+    places = {start: place for start, place in places.items() if options[str(place[0])] is not None}
+    for start, (option, *number) in places.items():
+        values[start] = float(options[str(option)][number[0]] if number else options[str(option)])
     if name != TIME_VARIANT and options["estimator"] is not None:
         values["estimator"] = options["estimator"]
     settings = object.__new__(kind)  # not valid yet
     vars(settings).update(declared | values)
-    faults = dict[Place, str]()  # one at each place
+    faults, poles = Objections(), [*map(complex, options["poles"])]
     for reason in settings.invalid_values():
         place = next((places[word] for word in re.findall(r"\w+", reason) if word in places), ())
         faults.setdefault(place, reason)
     if name == PLACED:
-        faults |= {("poles", k): text for k, text in pole_faults([*map(complex, options["poles"])])}
+        faults |= {("poles", k): text for k, text in pole_faults(poles)}
     if predicts and options["R"][0] != options["R"][1]:
         reason = f"{options['R']} has different weights for the tilts; the predictive law has one weight for both"
         faults["R",] = f"{reason}: give the same number twice"
     if faults or predicts:
-        return values, [*faults.items()], []
+        return values, faults, {}
+    integral = options["Q_integral"] if name == WITH_INTEGRAL else ()
     try:
-        if name == PLACED:
-            K = placed_gain(settings, [*map(complex, options["poles"])])
-        else:
-            K = lqr_gain(settings, options["Q"], options["R"], options["Q_integral"] if name == WITH_INTEGRAL else ())
+        K = placed_gain(settings, poles) if name == PLACED else lqr_gain(settings, options["Q"], options["R"], integral)
     except ValueError as error:
-        return values, [(_place_of("forward", options, name)[:1], str(error))], []
+        return values, {_place_of("forward", options, name)[:1]: str(error)}, {}
     values |= {f"k_{i + 1}_{j + 1}": float(gain) for (i, j), gain in np.ndenumerate(K)}
-    return values, *_judged(values, options, name, K)
+    return values, *_judged(settings, options, name, K)
 
 
-def _judged(
-    values: Mapping[str, Any], options: Mapping[str, Any], name: str, K: Matrix
-) -> tuple[Objections, Objections]:
-    """Return objections to designed gains, and warnings, on bounds, stability and damping of the sampled loop."""
-    gains = [p for p in parameters_of(IntegralSettings) if p.name.startswith("k_") and p.name in values]
-    if large := [p for p in gains if p.fault(values[p.name])]:
-        size, limit = max(abs(values[p.name]) for p in large), large[0].bounds[1]
-        axis = "turning" if large[0].name[-1] in "347" else "forward"  # columns of K and K_i for ψ
-        reason = f"results in a gain of {size:.3g}, above the controller's limit of {limit:g}; design a slower loop"
-        return [(_place_of(axis, options, name), reason)], []
-    names = {p.name for p in parameters_of(FullSettings)} | {"estimator"}
-    p = FullSettings(**{n: v for n, v in values.items() if n in names})
+def _judged(p: Settings, options: Mapping[str, Any], name: str, K: Matrix) -> tuple[Objections, Objections]:
+    """Return objections to designed gains, and warnings, by stability and damping of the sampled loop."""
+    objections, warnings = Objections(), Objections()
     try:
         modes = flown_modes(p, K)
     except np.linalg.LinAlgError:  # The estimator has no steady gain.
-        return [], []
-    objections, warnings = Objections(), Objections()
+        return objections, warnings
     nearer = f"use poles closer to {', '.join(f'{pole:g}' for pole in POLES)}"
     cure = nearer if name == PLACED else "increase the weights of the tilts, or reduce those of the states"
     for mode in worst_modes(modes):
@@ -211,9 +196,9 @@ def _judged(
         shown = f"{pole.real:.3g}±{abs(pole.imag):.3g}j" if pole.imag else f"{pole.real:.3g}"
         loop = f"with a lag of {p.lag:g} s and {p.estimator}, the sampled {mode.axis} axis has a pole at {shown} rad/s"
         if mode.grows:
-            objections.append((place, f"is unstable: {loop}; {cure}"))
+            objections.setdefault(place, f"is unstable: {loop}; {cure}")
         else:
-            warnings.append((place, f"{loop} with the small damping ratio {mode.damping:.2g}; {cure}"))
+            warnings.setdefault(place, f"{loop} with the small damping ratio {mode.damping:.2g}; {cure}")
     return objections, warnings
 
 

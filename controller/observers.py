@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from filterpy.kalman import ExtendedKalmanFilter, KalmanFilter
 
-from controller.design_model import Matrix, discrete_model, discretize, fix_matrix, full_model, measurement_matrix
+from controller.design_model import Matrix, discrete_model, discretize, fix_matrix, measurement_matrix
 from controller.settings import (
     AXES,
     PLANT_STATES,
@@ -155,18 +155,21 @@ class LinearFilter(Estimator):
 class HoverFilter(LinearFilter):
     """Filter of the thesis, and a second filter for the deviations of y, vy, roll, thrusts and tilts from hover.
 
-    The second filter starts at rest with P = 0; commands are its inputs, and fixes of y its measurements.
+    The latter starts at rest with P = 0; commands drive it, fixes of y correct it.
+
+    Args:
+        hover: Predicted states of the hovering craft, their A (12, 12) and B (12, 4).
     """
 
     memory = (*LinearFilter.memory, "observer.x", "observer.P")
 
-    def __init__(self, p: Any, start: Numbers, fix: float = 0.0, y_hat: float = 0.0) -> None:
+    def __init__(self, p: Any, hover: tuple[Matrix, Matrix, Matrix], start: Numbers, fix: float, y_hat: float) -> None:
         super().__init__(p, start, fix)
-        A, B = full_model(p)
-        of, n = [PREDICTED[k] for k in OBSERVED], len(OBSERVED)
+        self.hover, A, B = hover
+        n = len(OBSERVED)
         self.rest = np.array([p.duty_nominal, p.duty_nominal, 0.0, 0.0])
         self.observer = kf = KalmanFilter(dim_x=n, dim_z=1, dim_u=len(self.rest))
-        kf.F, kf.B = discretize(A[np.ix_(of, of)], B[of], p.sample_time)
+        kf.F, kf.B = discretize(A[np.ix_(OBSERVED, OBSERVED)], B[OBSERVED], p.sample_time)
         kf.x, kf.P, kf.Q, kf.H = np.zeros(n), np.zeros((n, n)), np.zeros((n, n)), np.zeros((1, n))
         self.y, vy = (OBSERVED.index(PREDICTED_STATES.index(name)) for name in ("y", "vy"))
         kf.x[self.y] = y_hat
@@ -192,10 +195,11 @@ class HoverFilter(LinearFilter):
 
     @property
     def predicted(self) -> Matrix:
-        """Return the states of a prediction as deviations from hover."""
-        z = np.zeros(len(PREDICTED_STATES))
-        z[OBSERVED], z[FILTERED] = self.observer.x, self.filter.x[: len(FILTERED)]
-        return z
+        """Return the states of a prediction."""
+        x = self.hover.copy()
+        x[OBSERVED] += self.observer.x
+        x[FILTERED] += self.filter.x[: len(FILTERED)]
+        return x
 
 
 class DoubleIntegration(Estimator):

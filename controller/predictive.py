@@ -13,20 +13,21 @@ import daqp
 import numpy as np
 from scipy.linalg import solve_discrete_are
 
-from controller.design_model import PLANT_INPUTS, Matrix, discretize, full_model
+from controller.design_model import Matrix
 from controller.loop import Law, LawInput
 from controller.observers import PREDICTED, PREDICTED_STATES, Estimator, ExtendedFilter, HoverFilter, Slopes, level_tilt
-from controller.settings import PLANT_STATES, Floats, Numbers, craft_of
+from controller.settings import PLANT_STATES, Floats, Numbers, PredictiveSettings, TimeVariantSettings, craft_of
 from cosim.model.namespaces import arrays
+from plant.hovercraft import Hovercraft
 
-COMMANDS = len(PLANT_INPUTS)
+COMMANDS = len(Hovercraft.inputs)
 COMMAND_BLOCKS = (1, 2, 4, 8, 12, 18, 25, 30)  # steps with a constant command; the last block extends to the horizon
 VX = PREDICTED_STATES.index("vx")
 POSITIONS = [PREDICTED_STATES.index(name) for name in ("x", "y", "psi")]
 SOLVED = (1, 2)  # flags of DAQP: optimal, also with an exceeded soft limit
 HARD, SOFT = 0, 8  # kinds of limits in DAQP
 ZERO_MULTIPLIER = 1e-9  # multipliers below are zero
-SERIES_LIMIT = 0.25  # multipliers below this value are zero
+SERIES_LIMIT = 0.25  # largest h·|A| of a short step in the series of the exponential
 
 
 class Condensed(NamedTuple):
@@ -63,7 +64,8 @@ class PredictiveLaw(Law):
     estimate and ū the command at rest. Commands, A and B are held over a prediction step. With one program per sample,
     the plan follows a changed reference within some samples (real-time iteration, Diehl, Bock, Schlöder 2005).
 
-    Without Jacobians, A and B are those of the design model at hover, and the horizon is condensed once.
+    With `PredictiveSettings`, A and B are those of hover, and the horizon is condensed once; with
+    `TimeVariantSettings`, those along the plan.
 
     Args:
         printed: Jacobians of the craft, which the extended filter uses too.
@@ -73,16 +75,16 @@ class PredictiveLaw(Law):
         filter: Estimator of the predicted states.
         last: Deviation of the last command from rest.
         hot: Multipliers; their signs mark the active limits for the next sample.
-        given_up: Number of failures of the solver.
-        cost: Cost of a horizon whose initial deviation is left open, used without Jacobians.
+        given_up: Failures of the solver.
+        cost: Cost of a horizon that starts with an open deviation, with A and B of hover.
     """
 
     memory: tuple[str, ...] = ("last", "hot", "iterations", "solved", "samples", "given_up", "path", "plan")
     filter: HoverFilter | ExtendedFilter
     cost: Condensed | None = None
 
-    def __init__(self, p: Any, printed: Mapping[str, Any] | None = None, y_hat: float = 0.0) -> None:
-        self.p, self.printed, self.y_hat, self.hover = p, printed, y_hat, np.zeros(len(PREDICTED_STATES))
+    def __init__(self, p: PredictiveSettings, printed: Mapping[str, Any], y_hat: float = 0.0) -> None:
+        self.p, self.printed, self.y_hat = p, printed, y_hat
         self.rest = np.array([p.duty_nominal, p.duty_nominal, 0.0, 0.0])
         self.low = np.array([p.duty_min, p.duty_min, -p.tilt_max, -p.tilt_max]) - self.rest
         self.high = np.array([p.duty_max, p.duty_max, p.tilt_max, p.tilt_max]) - self.rest
@@ -107,21 +109,18 @@ class PredictiveLaw(Law):
         self.hot, self.last = np.zeros(len(self.kinds)), np.zeros(COMMANDS)
         self.iterations, self.solved, self.samples, self.given_up = 0, True, 0, 0
         self.path, self.plan = np.zeros((0, len(PREDICTED_STATES))), np.zeros((0, COMMANDS))  # no plan yet
-        if printed is None:
-            A, B = full_model(p)
-            F, G = discretize(A[np.ix_(PREDICTED, PREDICTED)], B[PREDICTED], p.prediction_step)
-            self.P, n = solve_discrete_are(F, G, self.Q, self.R), len(self.of_step)
-            self.cost = self.condensed(np.tile(F, (n, 1, 1)), np.tile(G, (n, 1, 1)), 0.0, np.eye(len(PREDICTED_STATES)))
-            return
         self.craft = craft_of(p)
         self.slopes, self.rates = Slopes(self.craft, printed), self.craft.acting(arrays()).derivative
         hover = np.array([self.craft.start()])
-        self.hover = hover[0, PREDICTED]
         A, B = self._linear(hover, self.rest[None])
+        self.hover = hover[0, PREDICTED], A[0], B[0]
         fastest = p.prediction_step * float(np.abs(np.linalg.eigvals(A[0])).max())
         self.doublings = max(0, math.ceil(math.log2(max(fastest, SERIES_LIMIT) / SERIES_LIMIT)))
         F, held = self._zero_order_hold(A)
-        self.P = solve_discrete_are(F[0], (held @ B)[0], self.Q, self.R)
+        G, n = held @ B, len(self.of_step)
+        self.P = solve_discrete_are(F[0], G[0], self.Q, self.R)
+        if not isinstance(p, TimeVariantSettings):
+            self.cost = self.condensed(np.tile(F, (n, 1, 1)), np.tile(G, (n, 1, 1)), 0.0, np.eye(len(PREDICTED_STATES)))
 
     @property
     def duties(self) -> tuple[float, float]:  # type: ignore[override]
@@ -183,8 +182,8 @@ class PredictiveLaw(Law):
 
     def estimator(self, p: Any, x_hat: Numbers, fix: float) -> Estimator:
         """Return the filter of the predicted states, started at x_hat with the tilts that cause its acceleration."""
-        if self.printed is None:
-            self.filter = HoverFilter(p, x_hat, fix, self.y_hat)
+        if self.cost is not None:
+            self.filter = HoverFilter(p, self.hover, x_hat, fix, self.y_hat)
             return self.filter
         x, vx, psi, psi_dot, a = x_hat
         tilt = level_tilt(self.craft, a)
@@ -193,7 +192,7 @@ class PredictiveLaw(Law):
         return self.filter
 
     def command(self, x_hat: Numbers, seen: LawInput) -> Floats:
-        x, target = self.filter.predicted, self.hover.copy()
+        x, target = self.filter.predicted, self.hover[0].copy()
         target[POSITIONS] += seen.x_ref, seen.y_ref, seen.psi_ref
         if self.cost is not None:
             self.solve(self.cost.at(x - target))

@@ -180,21 +180,11 @@ INTEGRAL_SETTINGS = IntegralSettings(**mirrored(INTEGRAL_GAINS))
 
 
 @frozen
-class FullSettings(Settings):
-    """Parameters including roll and motors, for the linear model of fourteen states at hover."""
+class PredictiveSettings(Settings):
+    """Parameters of predictive laws: weights, limits, horizon, and the craft besides the design model.
 
-    ixx: float = bounded(0.009377, "kg.m2", (2e-3, 1), "design model: roll inertia, eq 5.4")
-    ground_gain: float = bounded(1.1420239, "1", (1, 10), "design model: gain of the ground effect at hover, eq 4.28")
-    thrust_per_duty: float = bounded(3.530619, "N/%", (0.01, 100), "design model: slope of the thrust line, eq 4.20")
-    roll_stiffness: float = bounded(
-        5.4174681, "N.m/rad", (-1e3, 1e4), "design model: roll moment per roll, table and ground effect"
-    )
-    roll_damping: float = bounded(0.45, "N.m.s/rad", (0, 10), "design model: roll moment per roll rate")
-
-
-@frozen
-class PredictionSettings(Settings):
-    """Parameters of predictive laws: weights, limits, horizon. The gains `k_i_j` are unused."""
+    The thrust line passes through `thrust_nominal` at `duty_nominal`. The gains `k_i_j` are unused.
+    """
 
     weight_x: float = weight(1.0, "1/m2", "x")
     weight_vx: float = weight(0.5, "s2/m2", "vx")
@@ -212,9 +202,17 @@ class PredictionSettings(Settings):
     iterations_max: float = bounded(
         200.0, "1", (1, 1e5), "largest number of iterations per sample; beyond it, the command is clipped to the limits"
     )
+    ixx: float = of_craft("ixx")
+    propeller_radius: float = of_craft("propeller_radius")
+    height: float = of_craft("height")
+    thrust_slope: float = of_craft("thrust_slope")
+    ground_effect_exponent: float = of_craft("ground_effect_exponent")
+    gravity: float = of_craft("gravity")
+    table_roll_stiffness: float = of_craft("table_roll_stiffness")
+    table_roll_damping: float = of_craft("table_roll_damping")
 
     def invalid_values(self) -> list[str]:
-        """Return a sentence on each invalid value or, if the LQR has no solution, on each cause."""
+        """Return a sentence on each invalid value, which names it; with valid ones, on an impossible craft."""
         faults, nominal = super().invalid_values(), self.duty_nominal
         for name, wrong in (("duty_min", self.duty_min >= nominal), ("duty_max", self.duty_max <= nominal)):
             if wrong:
@@ -225,12 +223,14 @@ class PredictionSettings(Settings):
         if not self.prediction_step <= self.horizon <= 1000 * self.prediction_step:
             text = f"must have 1 to 1000 steps of prediction_step = {self.prediction_step:g} s"
             faults.append(f"horizon is {self.horizon:g} s; it {text}")
-        return faults
-
-
-@frozen
-class PredictiveSettings(PredictionSettings, FullSettings):
-    """Parameters of the predictive law linearized once."""
+        if faults:
+            return faults
+        try:
+            craft_of(self)
+        except ValueError as error:
+            line = f"{self.thrust_nominal:g} N at {self.duty_nominal:g} % and {self.thrust_slope:g} gf/%"
+            return [f"thrust_nominal {line} are not possible for the craft: {error}"]
+        return []
 
 
 # -- extended filter and A(t), B(t) -------------------------------------------------------------
@@ -272,22 +272,11 @@ def equation_noise(default: float, unit: str, of: str) -> Any:
 
 
 @frozen
-class TimeVariantSettings(PredictionSettings, ExtendedSettings):
-    """Parameters of the craft's equations in addition to those of the design model, and noise of the extended filter.
-
-    The thrust line passes through `thrust_nominal` at `duty_nominal`. Unused: `k_i_j`, `process_variance_a`.
-    """
+class TimeVariantSettings(PredictiveSettings, ExtendedSettings):
+    """Parameters of the predictive law along its plan. Unused: `process_variance_a`."""
 
     choices = {"estimator": ("extended",), "axes": tuple(AXES)}  # noqa: RUF012 - a ClassVar of the base
 
-    ixx: float = of_craft("ixx")
-    propeller_radius: float = of_craft("propeller_radius")
-    height: float = of_craft("height")
-    thrust_slope: float = of_craft("thrust_slope")
-    ground_effect_exponent: float = of_craft("ground_effect_exponent")
-    gravity: float = of_craft("gravity")
-    table_roll_stiffness: float = of_craft("table_roll_stiffness")
-    table_roll_damping: float = of_craft("table_roll_damping")
     process_variance_x: float = equation_noise(0.0, "m2", "x")
     process_variance_y: float = equation_noise(0.0, "m2", "y")
     process_variance_psi: float = equation_noise(0.0, "rad2", "psi")
@@ -299,19 +288,8 @@ class TimeVariantSettings(PredictionSettings, ExtendedSettings):
 
     estimator: str = "extended"
 
-    def invalid_values(self) -> list[str]:
-        """Return a sentence on each invalid value or, if there are none, on why the craft is impossible."""
-        if faults := super().invalid_values():
-            return faults
-        try:
-            craft_of(self)
-        except ValueError as error:
-            line = f"{self.thrust_nominal:g} N at {self.duty_nominal:g} % and {self.thrust_slope:g} gf/%"
-            return [f"thrust_nominal {line} are not possible for the craft: {error}"]
-        return []
 
-
-OF_CRAFT = tuple(p.name for p in parameters_of(TimeVariantSettings) if p.name in CRAFT_PARAMETERS)
+OF_CRAFT = tuple(p.name for p in parameters_of(PredictiveSettings) if p.name in CRAFT_PARAMETERS)
 
 
 def craft_of(p: Any) -> Hovercraft:

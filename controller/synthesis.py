@@ -8,9 +8,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from controller.design_model import PLANT_INPUTS, Matrix, design_model, discretize, full_model
+from controller.design_model import Matrix, design_model, discretize
 from controller.observers import kalman_filter
-from controller.settings import PLANT_STATES, SIDES, FullSettings, Numbers, Settings
+from controller.settings import SIDES, Numbers, Settings
 from cosim.model import SCALAR
 from cosim.model.symbolic.linearize import linearize
 from plant.hovercraft import Hovercraft
@@ -34,13 +34,12 @@ CONTROLLED_AXES = (((0, 1, 4), (1.0, 1.0)), ((2, 3), (1.0, -1.0)))
 
 
 def numbers_of(craft: Hovercraft) -> dict[str, float]:
-    """Return the design model parameters of a hovering craft with its effects, named as in `FullSettings`.
+    """Return the design model parameters of a hovering craft with its effects, named as in `Settings`.
 
         thrust_nominal: m/2·Σ ∂v̇x/∂α_i of the hovering craft
         lag: mean delay of a tilt after its command, −G'(0)/G(0) of G(s) = C·(sI − A)⁻¹·B (τ of first order, 2ζ/ωₙ of
             second), plus the command delay
         friction, yaw_damping: opposing force or moment divided by the working speed or yaw rate
-        k/Ixx = −∂φ̈/∂φ, d_φ/Ixx = −∂φ̈/∂φ̇, L·Γ/Ixx = ∂φ̈/∂T, dT/dδ = τ·∂Ṫ/∂δ, averaged over both sides
 
     Asymmetry, offsets, backlash, dead band, rate limit and inflow cannot be represented by five symmetric states.
     """
@@ -54,8 +53,6 @@ def numbers_of(craft: Hovercraft) -> dict[str, float]:
     A, B = linear.A[np.ix_(tilts, tilts)], linear.B[tilts, inputs.index("tilt_right")]
     right, once = [names[k] for k in tilts].index("tilt_right"), np.linalg.solve(A, B)
     mean_delay = float(-np.linalg.solve(A, once)[right] / once[right])
-    lift = 0.5 * (slope("phi_dot", "thrust_right") - slope("phi_dot", "thrust_left"))
-    duty = sum(float(linear.B[names.index(f"thrust_{side}"), inputs.index(f"duty_{side}")]) for side in SIDES)
     derivative = craft.equations(SCALAR).derivative
 
     def damping(state: str, rate: float) -> float:
@@ -69,17 +66,12 @@ def numbers_of(craft: Hovercraft) -> dict[str, float]:
     return {
         "mass": craft.mass,
         "izz": craft.izz,
-        "ixx": craft.ixx,
         "arm": craft.arm,
         "friction": craft.mass * damping("vx", WORKING_SPEED),
         "lag": mean_delay + sum(effect.time for effect in craft.awake if effect.name == "actuator_delay"),
         "thrust_nominal": 0.5 * craft.mass * sum(slope("vx", f"tilt_{side}") for side in SIDES),
         "yaw_damping": craft.izz * damping("psi_dot", WORKING_YAW_RATE),
         "duty_nominal": craft.duty_nominal,
-        "ground_gain": lift * craft.ixx / craft.arm,
-        "thrust_per_duty": craft.lag * duty / 2.0,
-        "roll_stiffness": -slope("phi_dot", "phi") * craft.ixx,
-        "roll_damping": -slope("phi_dot", "phi_dot") * craft.ixx,
     }
 
 
@@ -153,9 +145,7 @@ def format_pole(pole: complex) -> str:
 # Eqs 5.33/5.34 describe the turn without lag and without sampling. The real loop has both, and it feeds back the
 # filter's estimate instead of the true state.
 
-# States that depend on the tilts and act on the IMU: not x, roll, y and thrusts.
-SEEN = [PLANT_STATES.index(name) for name in ("vx", "psi", "psi_dot", "tilt_right", "tilt_left")]
-TILT_INPUTS = [PLANT_INPUTS.index(name) for name in ("tilt_right", "tilt_left")]
+# States of the craft (vx, psi, psi_dot, tilt_right, tilt_left): the tilts, and what they move that acts on the IMU
 PSI, PSI_DOT, RIGHT, LEFT = 1, 2, 3, 4  # indices among these states
 TURNING = {PSI, PSI_DOT, 5 + 2, 5 + 3, 10 + 1}  # indices among all states of the loop, without tilts
 MAX_GROWTH = 1e-3  # [rad/s] poles further right grow; uncontrolled poles are at 0 within rounding
@@ -180,7 +170,7 @@ class LoopMode(NamedTuple):
         return -self.pole.real / abs(self.pole) if self.pole.imag else 1.0
 
 
-def flown_modes(p: FullSettings, K: Matrix) -> list[LoopMode]:
+def flown_modes(p: Settings, K: Matrix) -> list[LoopMode]:
     """Return the modes of craft, hold and filter at hover with ψ = 0, without saturation and fixes, fastest first.
 
          xₖ₊₁ = F·xₖ + G·uₖ,   zₖ₊₁ = H·xₖ₊₁,   x̂ₖ₊₁ = F̂·x̂ₖ + Ĝ·uₖ + L·(zₖ₊₁ − Ĥ·(F̂·x̂ₖ + Ĝ·uₖ)),   uₖ = −K·(x̂ₖ, ξₖ)
@@ -192,8 +182,9 @@ def flown_modes(p: FullSettings, K: Matrix) -> list[LoopMode]:
     Raises:
         LinAlgError: The estimator has no steady gain.
     """
-    A, B = full_model(p)
-    A, B = A[np.ix_(SEEN, SEEN)], B[np.ix_(SEEN, TILT_INPUTS)]
+    push, turn = p.thrust_nominal / p.mass, p.arm * p.thrust_nominal / p.izz
+    A, B = np.diag([-p.friction / p.mass, 0.0, -p.yaw_damping / p.izz, *[-1.0 / p.lag] * 2]), np.zeros((5, 2))
+    A[0, RIGHT:], A[PSI, PSI_DOT], A[PSI_DOT, RIGHT:], B[RIGHT:] = push, 1.0, (turn, -turn), np.eye(2) / p.lag
     F, G = discretize(A, B, p.sample_time)
     H = np.vstack([np.eye(len(A))[[PSI, PSI_DOT]], A[:1]])  # a_x = v̇x
     kf, last = kalman_filter(p, np.zeros(5)), np.zeros((5, 3))

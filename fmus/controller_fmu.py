@@ -31,6 +31,8 @@ from cosim.model import parameters_of
 from plant.hovercraft import DUTY_NOMINAL, Hovercraft
 
 Dependencies = Mapping[str, Sequence[str]]
+FLIGHT = "Flight controller of the hovercraft: "
+LOOP, DESIGN_MODEL = "loop:Loop", "design_model:discrete_model"  # documented parts
 ESTIMATE_MEANINGS = {  # name → unit, meaning
     "x": ("m", "distance along the craft's own axis"),
     "vx": ("m/s", "forward velocity"),
@@ -133,13 +135,19 @@ class SampledSlave(Slave):
     """A slave with sample times: a communication step is one sample; steps other than `sample_time` are rejected.
 
     Attributes:
-        who: Noun for the slave in messages.
+        who: Noun for messages.
+        about: Description of the FMU.
+        parts: Documented objects in `controller`, as `module:name`.
+        needs_jacobians: True if the FMU includes generated Jacobians of the craft, so that it does not need sympy.
         settings: Default values.
         depends: Dependencies of outputs at a sample, and in initialization mode.
         running: The running loop or filter, with its complete state.
     """
 
     who: ClassVar[str]
+    about: ClassVar[str]
+    parts: ClassVar[tuple[str, ...]]
+    needs_jacobians: ClassVar[bool] = False
     settings: ClassVar[Noise]
     depends: ClassVar[tuple[Dependencies, Dependencies]]
     running: Any
@@ -185,13 +193,11 @@ class HovercraftController(SampledSlave):
     """A controller with sample times: a communication step is one sample; steps other than `sample_time` are rejected.
 
     The hosting Python needs numpy, scipy and filterpy. The filter starts at `*_hat_start`.
-
-    Attributes:
-        settings: Default values.
-        depends: Dependencies of outputs at a sample, and in initialization mode.
     """
 
     who = "controller"
+    about = f"{FLIGHT}Kalman filter and LQR with tilt saturation"
+    parts: ClassVar[tuple[str, ...]] = (LOOP, DESIGN_MODEL)
     feedback: ClassVar[type[Law]] = StateFeedback
     settings: ClassVar[Settings] = Settings()
     ports = controller_ports(settings)
@@ -222,6 +228,7 @@ class HovercraftPolesController(HovercraftController):
     Poles of different axes may be equal.
     """
 
+    about = f"{FLIGHT}Kalman filter and poles placed, with tilt saturation"
     settings = PLACED_SETTINGS
     ports = controller_ports(settings)
 
@@ -229,6 +236,8 @@ class HovercraftPolesController(HovercraftController):
 class HovercraftIntegralController(HovercraftController):
     """LQR with integral action on measured errors: of x from position fixes, of ψ from the IMU."""
 
+    about = f"{FLIGHT}Kalman filter and LQR with integrals of position and heading"
+    parts = (LOOP, DESIGN_MODEL, "loop:IntegralFeedback")
     feedback = IntegralFeedback
     settings = INTEGRAL_SETTINGS
     ports = controller_ports(settings, *INTEGRALS)
@@ -240,20 +249,17 @@ class HovercraftIntegralController(HovercraftController):
 
 
 def predictive_dependencies(ports: Sequence[Port], *, own_filter: bool = False) -> tuple[Dependencies, Dependencies]:
-    """Return dependencies of the outputs. Commands depend on all inputs and parameters.
-
-    With `own_filter`, estimates do too.
-    """
+    """Return dependencies of the outputs: commands depend on all inputs or numbers, with `own_filter` estimates too."""
     inputs = tuple(p.name for p in ports if p.causality == "input")
-    parameters = [p.name for p in ports if p.causality == "parameter" and p.kind == "Real"]
-    known = ("x_ref", "psi_ref", "y_ref", *(name for name in parameters if not name.startswith("k_")))
+    numbers = [p.name for p in ports if p.causality == "parameter" and p.kind == "Real" and p.name[:2] != "k_"]
     solved = ("duty_right", "duty_left", "tilt_right", "tilt_left", "iterations", "solved")
     at_sample = {**DEPENDENCIES, "y_hat": ("y_meas", "fix"), "y_sigma": ("fix",), **dict.fromkeys(solved, inputs)}
-    at_start = {**INITIAL_DEPENDENCIES, "y_hat": ("y_hat_start",), "y_sigma": (), **dict.fromkeys(solved, known)}
+    at_start = {**INITIAL_DEPENDENCIES, "y_hat": ("y_hat_start",), "y_sigma": ()}
+    at_start |= dict.fromkeys(solved, ("x_ref", "psi_ref", "y_ref", *numbers))
     if own_filter:
         estimates = (*ESTIMATE, "x_sigma", "psi_sigma", "y_hat", "y_sigma")
         at_sample |= dict.fromkeys(estimates, tuple(n for n in inputs if not n.endswith("_ref")))
-        at_start["a_hat"] = tuple(n for n in known if not n.endswith("_ref"))
+        at_start["a_hat"] = tuple(numbers)
     return at_sample, at_start
 
 
@@ -263,23 +269,19 @@ class HovercraftPredictiveController(HovercraftController):
     The host also needs the solver daqp.
     """
 
+    about = f"{FLIGHT}Kalman filter and model predictive control with limits"
+    parts: ClassVar[tuple[str, ...]] = (LOOP, DESIGN_MODEL, "predictive:PredictiveLaw", "observers:HoverFilter")
+    needs_jacobians = True
     settings: ClassVar[Settings] = PredictiveSettings()
     ports = controller_ports(settings, *LATERAL)
     depends = predictive_dependencies(ports)
 
     def law(self, settings: Any, given: dict[str, Value]) -> Law:
-        """Return the predictive law, with the Jacobians that were printed when the FMU was built, if it needs them.
-
-        The solver is imported here, since other controllers do not need it.
-        """
+        """Return the predictive law; its solver is imported here, since other controllers do not need it."""
+        from controller import printed  # type: ignore[attr-defined]  # printed when the FMU is built
         from controller.predictive import PredictiveLaw
 
-        y_hat = float(given.get("y_hat_start", 0.0))
-        if not isinstance(settings, TimeVariantSettings):
-            return PredictiveLaw(settings, y_hat=y_hat)
-        from controller import printed  # type: ignore[attr-defined]
-
-        return PredictiveLaw(settings, vars(printed), y_hat)
+        return PredictiveLaw(settings, vars(printed), float(given.get("y_hat_start", 0.0)))
 
 
 class HovercraftTimeVariantController(HovercraftPredictiveController):
@@ -288,6 +290,8 @@ class HovercraftTimeVariantController(HovercraftPredictiveController):
     Tilt and duty are limited. With position fixes, y is controlled too. The host also needs the solver daqp.
     """
 
+    about = f"{FLIGHT}extended Kalman filter and predictive control along the planned motion"
+    parts = (LOOP, "predictive:PredictiveLaw", "observers:ExtendedFilter")
     settings = TimeVariantSettings()
     ports = controller_ports(settings, *LATERAL)
     depends = predictive_dependencies(ports, own_filter=True)
@@ -332,6 +336,8 @@ class Estimator(SampledSlave):
 class HovercraftFilter(Estimator):
     """Kalman filter of the thesis in three variants, or double integration, by parameter `estimator`."""
 
+    about = "Estimators of the hovercraft: three Kalman filters, double integration"
+    parts = ("observers:LinearFilter", DESIGN_MODEL, "observers:DoubleIntegration")
     settings = FilterSettings()
     ports = (
         *SIGNAL_PORTS,
@@ -347,6 +353,9 @@ class HovercraftFilter(Estimator):
 class HovercraftEkf(Estimator):
     """Extended Kalman filter with the plant's equations as an FMU."""
 
+    about = "Extended Kalman filter of the hovercraft on the plant's equations"
+    parts = ("observers:ExtendedFilter",)
+    needs_jacobians = True
     settings = ExtendedSettings()
     ports = (
         *SIGNAL_PORTS,

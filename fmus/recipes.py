@@ -5,14 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
-from types import ModuleType
+from pathlib import Path
 
 from controller.settings import Settings
 from cosim.core.registry import resolve
-from cosim.fmi.fmu_build import Recipe, about_model
-from cosim.fmi.model_description import Description, docstrings_html, model_text
-from cosim.model import Model
-from fmus import FMU_PACKAGES
+from cosim.fmi.fmu_build import Recipe, model_recipe
+from cosim.fmi.model_description import Description, docstrings_html
+from fmus import PACKAGES
 
 # A second plant for scenarios/swap.yaml: a heavier craft whose servos overshoot (observed in §4.5.4).
 HEAVY = {
@@ -21,112 +20,39 @@ HEAVY = {
     "actuator_second_order.natural_frequency": 16.0,
     "actuator_second_order.damping_ratio": 0.5,
 }
-Numbers = Mapping[str, float | bool]
 
 
-def plant_recipe(values: Numbers | None = None) -> Recipe:
-    """Return the recipe of the plant, with defaults from `values`."""
-    import cosim.model.planar as planar
-    import plant.hovercraft as craft
-
-    about = "Thrust-vectoring hovercraft on an air table: two tilting propellers with lag and ground effect"
-    slave = ("fmus.plant_fmu", "HovercraftPlant")
-    return _model(slave, craft.Hovercraft(), values, about, "An unconnected plant hovers.", craft, planar)
+def _model(place: str, values: Mapping[str, float | bool] | None = None) -> Recipe:
+    """Return the recipe of a model's FMU, with defaults from `values`; `place` is `module:class` in `plant`."""
+    module = resolve(f"plant.{place.partition(':')[0]}")
+    model = resolve(f"plant.{place}")()
+    return replace(model_recipe(model, Path(module.__file__), values), packages=PACKAGES)
 
 
-def bench_recipe(values: Numbers | None = None) -> Recipe:
-    """Return the build recipe of the testing bench's FMU; `values` replace default parameters."""
-    import plant.bench as bench
-
-    about = "Testing bench: one tilting propeller on three load cells, converted by 12 bit and low-passed"
-    slave = ("fmus.bench_fmu", "PropellerBench")
-    return _model(slave, bench.Bench(), values, about, "An unconnected bench is at rest.", bench)
-
-
-def _model(
-    slave: tuple[str, str], model: Model, values: Numbers | None, about: str, text: str, *modules: ModuleType
-) -> Recipe:
-    description = about_model(model.with_values(values or {}), about)
-    whole = f"<p>{text}</p>{model_text(model)}{docstrings_html(*modules)}"
-    return Recipe(slave, FMU_PACKAGES, description, whole, tuple(sorted((values or {}).items())))
-
-
+plant_recipe = partial(_model, "hovercraft:Hovercraft")
 heavy_recipe = partial(plant_recipe, HEAVY)
+bench_recipe = partial(_model, "bench:Bench")
 
 
-def _sampled(slave: str, about: str, *documented: str, printed: bool = False) -> Recipe:
-    """Return the recipe of a controller or estimator with the docstrings of its parts.
-
-    Args:
-        printed: True to include generated Jacobians, so that the FMU does not need sympy.
-    """
-    kind = resolve(f"fmus.{slave}")
+def _sampled(name: str) -> Recipe:
+    """Return the recipe of a controller or estimator with the docstrings of its parts."""
+    kind = resolve(f"fmus.controller_fmu:{name}")
     step, (at_sample, at_start) = Settings().sample_time, kind.depends
     description = Description(
-        about, kind.ports, at_sample, at_start, step=step, stop=10.0, variable_step=False, sampled="sample_time"
+        kind.about, kind.ports, at_sample, at_start, step=step, stop=10.0, variable_step=False, sampled="sample_time"
     )
-    parts = (resolve(f"controller.{name}") for name in documented)
-    recipe = Recipe((kind.__module__, kind.__name__), FMU_PACKAGES, description, docstrings_html(*parts, kind))
-    return replace(recipe, printed=(("controller.printed", jacobians()),)) if printed else recipe
+    parts = (resolve(f"controller.{part}") for part in kind.parts)
+    recipe = Recipe((kind.__module__, name), PACKAGES, description, docstrings_html(*parts, kind))
+    return replace(recipe, printed=(("controller.printed", jacobians()),)) if kind.needs_jacobians else recipe
 
 
-LOOP_FUNCTION, MODEL_FUNCTION, EXTENDED_FILTER = "loop:Loop", "design_model:discrete_model", "observers:ExtendedFilter"
-FLIGHT = "Flight controller of the hovercraft: "
-controller_recipe = partial(
-    _sampled,
-    "controller_fmu:HovercraftController",
-    f"{FLIGHT}Kalman filter and LQR with tilt saturation",
-    LOOP_FUNCTION,
-    MODEL_FUNCTION,
-)
-poles_recipe = partial(
-    _sampled,
-    "controller_fmu:HovercraftPolesController",
-    f"{FLIGHT}Kalman filter and poles placed, with tilt saturation",
-    LOOP_FUNCTION,
-    MODEL_FUNCTION,
-)
-integral_recipe = partial(
-    _sampled,
-    "controller_fmu:HovercraftIntegralController",
-    f"{FLIGHT}Kalman filter and LQR with integrals of position and heading",
-    LOOP_FUNCTION,
-    MODEL_FUNCTION,
-    "loop:IntegralFeedback",
-)
-predictive_recipe = partial(
-    _sampled,
-    "controller_fmu:HovercraftPredictiveController",
-    f"{FLIGHT}Kalman filter and model predictive control with limits",
-    LOOP_FUNCTION,
-    MODEL_FUNCTION,
-    "predictive:PredictiveLaw",
-    "observers:HoverFilter",
-)
-time_variant_recipe = partial(
-    _sampled,
-    "controller_fmu:HovercraftTimeVariantController",
-    f"{FLIGHT}extended Kalman filter and predictive control along the planned motion",
-    LOOP_FUNCTION,
-    "predictive:PredictiveLaw",
-    EXTENDED_FILTER,
-    printed=True,
-)
-filter_recipe = partial(
-    _sampled,
-    "controller_fmu:HovercraftFilter",
-    "Estimators of the hovercraft: three Kalman filters, double integration",
-    "observers:LinearFilter",
-    MODEL_FUNCTION,
-    "observers:DoubleIntegration",
-)
-extended_recipe = partial(
-    _sampled,
-    "controller_fmu:HovercraftEkf",
-    "Extended Kalman filter of the hovercraft on the plant's equations",
-    EXTENDED_FILTER,
-    printed=True,
-)
+controller_recipe = partial(_sampled, "HovercraftController")
+poles_recipe = partial(_sampled, "HovercraftPolesController")
+integral_recipe = partial(_sampled, "HovercraftIntegralController")
+predictive_recipe = partial(_sampled, "HovercraftPredictiveController")
+time_variant_recipe = partial(_sampled, "HovercraftTimeVariantController")
+filter_recipe = partial(_sampled, "HovercraftFilter")
+extended_recipe = partial(_sampled, "HovercraftEkf")
 
 
 def jacobians() -> str:

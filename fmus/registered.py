@@ -5,7 +5,8 @@ from __future__ import annotations
 from cosim.core.registry import ModelEntry, Page, Verb
 from cosim.files.artefact import Artefact
 
-LAWS = {  # controllers with other laws and the same ports
+CONTROLLERS = {  # several laws with the same ports
+    "controller.fmu": "fmus.recipes:controller_recipe",
     "controller-pole.fmu": "fmus.recipes:poles_recipe",
     "controller-lqi.fmu": "fmus.recipes:integral_recipe",
     "controller-mpc.fmu": "fmus.recipes:predictive_recipe",
@@ -17,13 +18,12 @@ HOVERCRAFT = ModelEntry(
     recipe="fmus.recipes:plant_recipe",
     built={
         "plant.fmu": "fmus.recipes:plant_recipe",
-        "controller.fmu": "fmus.recipes:controller_recipe",
         "plant-heavy.fmu": "fmus.recipes:heavy_recipe",
-        **LAWS,
+        **CONTROLLERS,
         "filter.fmu": "fmus.recipes:filter_recipe",
         "ekf.fmu": "fmus.recipes:extended_recipe",
     },
-    beside={"controller.fmu": "fmus.recipes:controller_recipe", **LAWS},
+    beside=CONTROLLERS,
     native={"controller": "fmus.controller_native:controller_native"},
     rig="controller.closed_loop:ClosedLoop",
     design="controller.designer:design",
@@ -31,7 +31,7 @@ HOVERCRAFT = ModelEntry(
 BENCH = ModelEntry(name="bench", model="plant.bench:Bench", recipe="fmus.recipes:bench_recipe")
 RUN_PAGE = Page(
     variables=frozenset({"x_world", "y_world", "psi"}),
-    subject="fmus.report.craft_page:subject",
+    subject="fmus.report.craft:subject",
 )
 IDENTIFY = Verb(
     command="fmus.commands:identify_command",

@@ -25,7 +25,6 @@ from controller.settings import (
     ESTIMATORS,
     INTEGRAL_SETTINGS,
     PLACED_SETTINGS,
-    FullSettings,
     PredictiveSettings,
     Settings,
     TimeVariantSettings,
@@ -45,8 +44,8 @@ def printed() -> Mapping[str, Any]:
     return load_names(jacobians())
 
 
-def time_variant(p: TimeVariantSettings) -> PredictiveLaw:
-    """Return the predictive law with A(t), B(t)."""
+def predictive(p: PredictiveSettings) -> PredictiveLaw:
+    """Return the predictive law."""
     return PredictiveLaw(p, printed())
 
 
@@ -55,8 +54,8 @@ LAWS: dict[str, Design] = {
     "LQR": (Settings(), StateFeedback),
     "poles": (PLACED_SETTINGS, StateFeedback),
     "LQI": (INTEGRAL_SETTINGS, IntegralFeedback),
-    "MPC": (PredictiveSettings(), PredictiveLaw),
-    "LTV": (TimeVariantSettings(), time_variant),
+    "MPC": (PredictiveSettings(), predictive),
+    "LTV": (TimeVariantSettings(), predictive),
 }
 GAINS = ("LQR", "poles", "LQI")  # laws of fixed gains
 QUICK = (*GAINS, "MPC")  # those that fly under every effect
@@ -116,7 +115,7 @@ def fly(
     begin = start or {}
     moment = stepper.start(0.0, begin)
     x_hat = [begin.get(n, 0.0) for n in ("x", "vx", "psi", "psi_dot")] + [0.0]
-    if isinstance(law, PredictiveLaw) and law.printed is None and "y" in begin and not fixes:
+    if isinstance(law, PredictiveLaw) and law.cost is not None and "y" in begin and not fixes:
         law.y_hat = begin["y"]
     loop = Loop(settings, x_hat, *references(0.0), law=law)
     spent: list[float] = []
@@ -142,7 +141,7 @@ def fly(
             x_hat = [*(there[n] for n in ("x", "vx", "psi", "psi_dot")), push]
             if isinstance(law, PredictiveLaw):
                 law.filter.step(measured, command, fix, at)
-                law.filter.filter.x = np.array(x_hat if law.printed is None else moment.state)
+                law.filter.filter.x = np.array(moment.state if law.cost is None else x_hat)
             loop.command = law.command(x_hat, seen)
         else:
             loop.step(measured, x_ref, psi_ref, *at, fix)
@@ -231,7 +230,7 @@ def swings() -> dict[str, dict[str, LoopMode]]:
     for estimator, modes in found.items():
         for name in GAINS:
             settings: Any = LAWS[name][0]
-            every = flown_modes(FullSettings(estimator=estimator), np.array(settings.gain_matrix))
+            every = flown_modes(Settings(estimator=estimator), np.array(settings.gain_matrix))
             modes[name] = next(m for m in every if m.axis == "turning" and m.pole.imag > 0)
     return found
 

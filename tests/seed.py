@@ -1,6 +1,6 @@
 """The slow rows of docs/seed.md: `python -m tests.seed [SEEDS]` prints how often intervals hold the truth.
 
-By plain functions, then, for five seeds, with the five tests played on the bench's FMU. Then the whole way of
+Then the five tests by `cosim identify` for five seeds, and the whole way of
 examples/bench/overshoot: logs of the bench, refined, the craft flown before and after.
 """
 
@@ -16,10 +16,9 @@ import pandas as pd
 
 import cosim
 from plant.identification.estimates import Result
-from plant.identification.protocol import Protocol
-from plant.identification.recordings import Recording, calibrate, load_runs, runs_of
+from plant.identification.protocol import Protocol, read_protocol
+from plant.identification.recordings import Recording, calibrate, load_runs, play, runs_of
 from plant.identification.workflow import analyse
-from tests.bench_runs import Play, play_plain, read_protocol
 
 PROTOCOL = Path(__file__).resolve().parent.parent / "examples" / "bench" / "protocol.yaml"
 LEAST, MOST = 0.90, 0.99  # of 200 intervals of 95 %
@@ -30,7 +29,7 @@ def coverage(path: Path, seeds: Sequence[int]) -> pd.DataFrame:
     """Means over seeds of every estimate, the simulated bench being the truth; `held`: share of intervals."""
     protocol, rows = read_protocol(path), []
     for first in range(0, len(seeds), AT_ONCE):
-        for result in simulated(protocol, play_plain(protocol.bench), seeds[first : first + AT_ONCE]):
+        for result in simulated(protocol, seeds[first : first + AT_ONCE]):
             for e in result.estimates:
                 half = 0.5 * (e.high - e.low)
                 rows.append((f"{result.test}.{e.name}", e.unit, e.truth, e.value, half, e.thesis, e.covers_truth))
@@ -39,11 +38,11 @@ def coverage(path: Path, seeds: Sequence[int]) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=names).groupby(["number", "unit"], sort=False).mean().reset_index()
 
 
-def simulated(protocol: Protocol, play: Play, seeds: Sequence[int]) -> Iterator[Result]:
+def simulated(protocol: Protocol, seeds: Sequence[int]) -> Iterator[Result]:
     """Yield the results of a protocol for each seed; equal runs share a simulation."""
 
     def recorded(groups: Mapping[Any, Sequence[Recording]]) -> dict[Any, list[Recording]]:
-        batch = iter(play([run for runs in groups.values() for run in runs]))
+        batch = iter(play(protocol.bench, [run for runs in groups.values() for run in runs]))
         return {key: [next(batch) for _ in runs] for key, runs in groups.items()}
 
     names = [name for name, _ in protocol.file.tests.named_tests()]
@@ -67,16 +66,14 @@ def main(seeds: int) -> int:
 
 
 def played(seeds: int = 5) -> bool:
-    """Print how many intervals hold the truth where the bench's FMU is played; whether fewer than 90 %."""
+    """Print how many intervals of `cosim identify` hold the truth; whether fewer than 90 %."""
     held, made = 0, 0
     for seed in range(1, seeds + 1):
         with tempfile.TemporaryDirectory() as folder:
             estimates = cosim.identify(PROTOCOL, folder, report=False, seed=seed).estimates.values()
         missed = [e.name for e in estimates if not e.covers_truth]
         held, made = held + len(estimates) - len(missed), made + len(estimates)
-        print(
-            f"seed {seed} through the FMU: {len(estimates) - len(missed)} of {len(estimates)} hold the truth", *missed
-        )
+        print(f"seed {seed}: {len(estimates) - len(missed)} of {len(estimates)} hold the truth", *missed)
     return held < LEAST * made
 
 

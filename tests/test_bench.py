@@ -13,9 +13,9 @@ from cosim.fmi.building.build import build
 from cosim.model import Stepper
 from cosim.model.namespaces import SCALAR
 from plant.bench import Bench
-from plant.identification.recordings import Recording, play_on_fmu
+from plant.identification.recordings import Recording, play
 from plant.powertrain import ground_effect, servo_angle, thrust_out_of_ground
-from tests.bench_runs import play_plain
+from tests.hosts_fmpy import Instance
 
 REST = (5.0, 7.5, 10.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 GRAM = 9.81e-3  # [N]
@@ -41,9 +41,13 @@ def test_the_fmu_of_the_bench_is_valid_and_reads_what_the_equations_read_as_arra
     duty, servo = 5.0 + 0.01 * np.arange(150), 7.5 + np.sin(time)
     noise, height = 0.01 * rng.standard_normal((3, 150)), np.full(150, 0.095)
     run = Recording("a run", time, duty, servo, height, low_pass=0.1, noise=noise, thrust=1.02)
-    (by_fmu,), (plain,) = play_on_fmu(fmu, {"lag": 0.07}, [run]), play_plain(Bench(lag=0.07))([run])
-    for cell in "zxm":
-        np.testing.assert_allclose(by_fmu.volts[cell], plain.volts[cell], atol=1e-9)
+    (played,) = play(Bench(lag=0.07), [run])
+    with Instance(fmu) as bench:
+        bench.initialize({"lag": 0.07, "thrust_factor": 1.02, "filter_time": 0.1})
+        for k in range(1, 150):
+            commands = {"duty": duty[k - 1], "servo_duty": servo[k - 1], "height": 0.095}
+            read = bench.step(time[k - 1], 0.02, commands | {f"noise_{c}": noise[j, k] for j, c in enumerate("zxm")})
+            assert [read[f"volts_{c}"] for c in "zxm"] == pytest.approx([played.volts[c][k] for c in "zxm"], abs=1e-9)
 
 
 def test_the_servo_stops_within_its_dead_band_from_either_side() -> None:

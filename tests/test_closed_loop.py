@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from controller.loop import StateFeedback
-from controller.settings import ESTIMATORS, GAINS, FullSettings, Settings
+from controller.settings import ESTIMATORS, GAINS, Settings
 from controller.synthesis import POLES, Q_INTEGRAL, flown_modes, lqr_gain, placed_gain, worst_modes
 from plant.hovercraft import Hovercraft
 from tests.controllers import OFF, STEP, Flight, fly
@@ -69,7 +69,7 @@ def flown_poles(K: Any, start: Mapping[str, float], until: float, **settings: An
 @pytest.mark.parametrize("turn", [(-10.0, -12.0), (-15.0, -16.0)])
 def test_the_turn_swings_in_a_flight_as_its_pole_says(turn: tuple[float, ...], estimator: str) -> None:
     K = placed_gain(Settings(), (*POLES[:3], *turn))
-    modes = flown_modes(FullSettings(estimator=estimator), K)
+    modes = flown_modes(Settings(estimator=estimator), K)
     expected = next(mode.pole for mode in modes if mode.axis == "turning" and mode.pole.imag >= 0)
     found = flown_poles(K, {"psi": 1e-4}, 4.0, estimator=estimator)
     # 1e-3: the filter's gain is steady after a second, the equations are nonlinear by 1e-8 of it
@@ -78,7 +78,7 @@ def test_the_turn_swings_in_a_flight_as_its_pole_says(turn: tuple[float, ...], e
 
 def test_all_designs_of_the_thesis_and_ours_are_damped_with_every_estimator() -> None:
     for estimator in ESTIMATORS:
-        p = FullSettings(estimator=estimator)
+        p = Settings(estimator=estimator)
         integral = lqr_gain(p, Q_integral=Q_INTEGRAL)
         every = [mode for K in (lqr_gain(p), placed_gain(p), integral) for mode in flown_modes(p, K)]
         assert worst_modes(every) == []

@@ -11,7 +11,8 @@ from fmpy.validation import validate_fmu
 from scipy.optimize import lsq_linear
 
 from controller.closed_loop import manoeuvre
-from controller.design_model import PLANT_INPUTS, design_model, discretize, full_model
+from controller.design_model import design_model, discretize
+from controller.designer import PREDICTIVE, DesignFile, controller_starts
 from controller.loop import LawInput, Loop
 from controller.predictive import PREDICTED, PREDICTED_STATES, PredictiveLaw
 from controller.settings import (
@@ -22,12 +23,12 @@ from controller.settings import (
     PredictiveSettings,
     Settings,
     TimeVariantSettings,
+    craft_of,
 )
 from controller.synthesis import (
     POLES,
     Q_INTEGRAL,
     lqr_gain,
-    numbers_of,
     placed_gain,
 )
 from cosim.fmi.fmu_build import build
@@ -36,7 +37,7 @@ from cosim.model.symbolic.linearize import linearize
 from cosim.simulation.workflow import run
 from fmus.recipes import integral_recipe, poles_recipe, predictive_recipe, time_variant_recipe
 from plant.hovercraft import Hovercraft
-from tests.controllers import LAWS, LEGS, WITHIN, figure_6_2, fly, time_variant
+from tests.controllers import LAWS, LEGS, WITHIN, figure_6_2, fly, predictive
 from tests.hosts_fmpy import Instance, refused
 
 STEP = 0.02
@@ -87,17 +88,19 @@ def test_the_predicted_model_is_the_linearised_plant_entry_by_entry() -> None:
     craft = Hovercraft().with_values(
         {"mass": 0.8, "lag": 0.1, "table_roll_stiffness": 3.0, "yaw_damping.coefficient": 0.004}
     )
-    linear = linearize(craft)
-    p = PredictiveSettings(**{**numbers_of(craft), "duty_max": 9.0})
-    A, B = full_model(p)
+    starts, *_ = controller_starts(PREDICTIVE, DesignFile(), craft)
+    linear, predicted = linearize(craft), linearize(craft_of(PredictiveSettings(**starts)))
     assert linear.states[:14] == PLANT_STATES
-    assert linear.inputs == PLANT_INPUTS
-    np.testing.assert_allclose(A, linear.A[:14, :14], atol=1e-9)
-    np.testing.assert_allclose(B, linear.B[:14], atol=1e-9)
+    np.testing.assert_allclose(predicted.A, linear.A, atol=1e-9)
+    np.testing.assert_allclose(predicted.B, linear.B, atol=1e-9)
+    law = predictive(PredictiveSettings(**starts))
+    _, A, B = law.hover
+    np.testing.assert_allclose(A, linear.A[np.ix_(PREDICTED, PREDICTED)], atol=1e-9)
+    np.testing.assert_allclose(B, linear.B[PREDICTED], atol=1e-9)
 
 
 def test_the_solver_finds_what_another_one_does() -> None:
-    law = PredictiveLaw(MPC)
+    law = predictive(MPC)
     cost, scale = law.cost, law.scale
     root = np.linalg.cholesky(cost.H).T  # ½·U'·H·U + q'·U = ½·|root·U + root⁻ᵀ·q|² + …
     for seed in range(5):
@@ -124,7 +127,7 @@ def test_the_predictive_law_holds_y_with_fixes() -> None:
 @pytest.fixture(scope="module")
 def planned() -> PredictiveLaw:
     """The law after some programs for the same craft at rest, of which each linearises the plan before it."""
-    law, seen = time_variant(LTV), LawInput(1.5, -1.0, y_ref=0.3)
+    law, seen = predictive(LTV), LawInput(1.5, -1.0, y_ref=0.3)
     law.estimator(LTV, [0.0] * 5, 0.0)
     for _ in range(4):
         law.command([], seen)
@@ -147,8 +150,8 @@ def test_a_t_and_b_t_are_those_of_the_linearised_plant_all_along_the_plan(planne
 
 def test_the_plan_is_what_the_craft_does_where_one_linearisation_misses_it(planned: PredictiveLaw) -> None:
     """A turn of 1 rad while it moves 1.5 m: the motors share the work, and thrust times tilt is no linear thing."""
-    A, B = full_model(MPC)
-    F, G = discretize(A[np.ix_(PREDICTED, PREDICTED)], B[PREDICTED], MPC.prediction_step)
+    hover, A, B = planned.hover
+    F, G = discretize(A, B, MPC.prediction_step)
     stepper, linear = Stepper(Hovercraft()), [np.zeros(len(PREDICTED_STATES))]
     moment = stepper.start()
     flown = [np.array(moment.state)[PREDICTED]]
@@ -158,7 +161,7 @@ def test_the_plan_is_what_the_craft_does_where_one_linearisation_misses_it(plann
         linear.append(F @ linear[-1] + G @ (u - planned.rest))
     x, psi = PREDICTED_STATES.index("x"), PREDICTED_STATES.index("psi")
     missed = np.abs(np.array(flown) - planned.path).max(axis=0)
-    once = np.abs(np.array(flown) - planned.hover - np.array(linear)).max(axis=0)
+    once = np.abs(np.array(flown) - hover - np.array(linear)).max(axis=0)
     assert missed[psi] < 0.03 < 2.0 < once[psi]
     assert missed[x] < 0.005 < 0.3 < once[x]
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import cosim
-from controller.settings import GAINS, FullSettings, Settings
+from controller.settings import GAINS, Settings
 from controller.synthesis import Q_INTEGRAL, lqr_gain, numbers_of, placed_gain
 from cosim.core.errors import InputError
 from cosim.fmi.building.build import build_native
@@ -50,7 +50,7 @@ def test_numbers_of_the_model_reach_each_law_and_those_given_win(tmp_path: Path)
     )
     assert starts["estimator"] == "lagged"
     numbers: dict[str, Any] = numbers_of(Hovercraft(mass=0.9, lag=0.12, ixx=0.012, izz=0.02))
-    craft = FullSettings(**numbers)
+    craft = Settings(**numbers)
     integral = lqr_gain(craft, Q_integral=Q_INTEGRAL)[:, :5]
     for fmu, gain in (("controller.fmu", lqr_gain(craft)), (POLES, placed_gain(craft)), (INTEGRAL, integral)):
         starts = starts_of(tmp_path / "built" / fmu)

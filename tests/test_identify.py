@@ -1,4 +1,4 @@
-"""`cosim identify`: the tests of ch. 4 and App. D from the bench's FMU, from plain functions, from measured CSVs."""
+"""`cosim identify`: the tests of ch. 4 and App. D, simulated, and from measured CSVs."""
 
 from __future__ import annotations
 
@@ -21,11 +21,10 @@ from cosim.verbs.checks import check as check_files
 from plant.bench import Bench
 from plant.identification.analyses import after_step, ground_effect_exponent
 from plant.identification.estimates import Measurement, tilt_response
-from plant.identification.protocol import HeightTest, StepTest
-from plant.identification.recordings import COLUMNS, Cell, Recording, runs_of
+from plant.identification.protocol import HeightTest, StepTest, read_protocol
+from plant.identification.recordings import COLUMNS, Cell, Recording, play, runs_of
 from plant.identification.workflow import identify
 from plant.powertrain import ground_effect
-from tests.bench_runs import play_plain, read_protocol
 from tests.conftest import ROOT
 from tests.seed import coverage
 
@@ -88,7 +87,7 @@ def found(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Any]:
     return folder / "out", identify(path, folder / "out")
 
 
-def test_the_bench_fmu_gives_its_own_numbers_back(found: tuple[Path, Any], tmp_path: Path) -> None:
+def test_the_bench_gives_its_own_numbers_back(found: tuple[Path, Any], tmp_path: Path) -> None:
     out, outcome = found
     wide = {k: e for k, e in outcome.estimates.items() if not abs(e.value - e.truth) <= 0.75 * (e.high - e.low)}
     assert len(outcome.estimates) == 9
@@ -193,7 +192,7 @@ def good(tmp_path_factory: pytest.TempPathFactory) -> Good:
         content["cells"][cell]["loads"] = list(loads)
     protocol = read_protocol(written(tmp_path_factory.mktemp("truth"), content))
     for name, test in content["tests"].items():
-        runs = play_plain(protocol.bench)(runs_of(protocol, name, 5))
+        runs = play(protocol.bench, runs_of(protocol, name, 5))
         for key in ("phases", "repetitions", "heights", "amplitude", "validation_duty"):
             test.pop(key, None)
         test["files"] = [f"{name}{k}.csv" for k in range(len(runs))]

@@ -21,7 +21,7 @@ from cosim.report.panels import Panel, Trace
 from cosim.simulation.report.figures import write_figures
 from cosim.simulation.report.recorded import Run
 from cosim.simulation.report.run_page import judged_panels, write_report
-from fmus.report.craft import find_crafts, reference_track, responses, saturation, true_track
+from fmus.report.craft import find_crafts, reference_track, responses, true_track
 from tests.seen import faults
 
 PLANT = """x y x_world y_world psi phi vx vy psi_dot phi_dot ax thrust_right thrust_left tilt_right_actual
@@ -183,12 +183,6 @@ def test_settling_is_measured_from_the_last_step() -> None:
     # 1 − e^(−2t) enters ±0.02 at t = ln(50)/2; the last sample outside lies at most one step before.
     assert answer.time == pytest.approx(1.0)
     assert 0 <= math.log(50) / 2 - answer.settling <= 0.02
-
-
-def test_saturation_is_the_share_of_time_at_the_limit() -> None:
-    craft = only_craft(changed(craft_run(10.0), "plant.tilt_right", math.radians(12), slice(0, 125)))
-    assert saturation(craft, "right") == pytest.approx(0.25)  # 125 of 500 commands
-    assert saturation(craft, "left") == 0
 
 
 def test_a_page_with_criteria_draws_the_judged_signals_first_the_missed_ones_before(tmp_path: Path) -> None:

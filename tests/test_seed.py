@@ -24,10 +24,10 @@ from cosim.model import SCALAR
 from cosim.verbs.cli import command_line
 from plant.bench import Bench
 from plant.hovercraft import Hovercraft
-from plant.identification.recordings import calibrate, load_runs, runs_of
+from plant.identification.protocol import read_protocol
+from plant.identification.recordings import calibrate, load_runs, play, runs_of
 from plant.identification.workflow import analyse
 from plant.powertrain import ground_effect, lag, servo_angle, thrust_out_of_ground
-from tests.bench_runs import play_plain, read_protocol
 from tests.conftest import ROOT
 
 PAGE = ROOT / "docs" / "seed.md"
@@ -93,9 +93,9 @@ def test_tares_are_estimated_and_not_copied(tmp_path: Path) -> None:
     content["tests"] = {"step": content["tests"]["step"] | {"repetitions": 3}}
     (tmp_path / "protocol.yaml").write_text(json.dumps(content))
     protocol = read_protocol(tmp_path / "protocol.yaml")
-    play, found = play_plain(protocol.bench), []
-    cells = calibrate(protocol, {c: play(runs) for c, runs in load_runs(protocol, 1).items()})
-    runs = play(runs_of(protocol, "step", 1))
+    bench, found = protocol.bench, []
+    cells = calibrate(protocol, {c: play(bench, runs) for c, runs in load_runs(protocol, 1).items()})
+    runs = play(bench, runs_of(protocol, "step", 1))
     for off in (0.0, 0.1):
         moved = [replace(r, volts={c: v + off for c, v in r.volts.items()}) for r in runs]
         found.append(analyse(protocol, cells, {"step": moved})[0].estimates[0])

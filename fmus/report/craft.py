@@ -1,34 +1,43 @@
-"""Analysis of the crafts in a run: estimators, references, responses, effort, saturation, errors; their picture.
+"""Crafts on a run's page: picture from above, states with references and estimates, responses to steps.
 
 Component names are chosen by the user, so variables define the roles: a craft has `x_world`, `y_world` and `psi`, an
-estimator has `x_hat` and `x_sigma`. Connections assign the estimators to crafts. Figures use every row and SI units.
+estimator has `x_hat` and `x_sigma`. Figures use every row and SI units.
 
-In the picture from above, world X points up, Y to the left; coordinates are whole millimetres: right = −Y, down = −X.
-Path and craft have one scale. On a long path, the craft is magnified by a factor stated on the page.
+In the picture, world X points up, Y to the left; coordinates are whole millimetres: right = −Y, down = −X. Path and
+craft have one scale. On a long path, the craft is magnified by a factor stated on the page.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from controller.settings import SIDES, Settings
 from cosim.core.arrays import Array, Rows
-from cosim.core.units import DEGREES, read_quantity
-from cosim.report.charts import Charts, round_values
-from cosim.report.panels import extent
+from cosim.core.text import MISSING, amount, plain
+from cosim.core.units import DEGREES
+from cosim.report.charts import Charts, Drawing, Plot, round_values, sample_rows
+from cosim.report.panels import Panel, extent, signal_panel
 from cosim.simulation import criteria
-from cosim.simulation.report.recorded import Run, number
+from cosim.simulation.report.recorded import ComponentPage, Run, number
 from plant.hovercraft import Hovercraft
 
-SIDE_COLOURS = {"right": "warm", "left": "cool"}
+TEMPLATE = Path(__file__).with_name("templates") / "craft.html.j2"
+POSES = 1000  # of the moving picture
+MAX_RESPONSES = 16
 SETTLING_BAND = 0.02  # m and rad: 2 % of the unit steps in the thesis
 MERGED_RAMP_S = 0.1  # s; changes of a reference closer than this are one ramp
-TILT_MAX = Settings().tilt_max  # [rad], default of the controller FMUs
+STATES = {  # controlled and estimated: symbol, title
+    "x": ("x", "Distance along the craft's axis"),
+    "psi": ("ψ", "Heading, positive to the left"),
+    "vx": ("v", "Forward speed"),
+    "psi_dot": ("ψ̇", "Yaw rate, positive to the left"),
+}
+UNITS = {q.name: q.unit for q in Hovercraft.outputs}
 
 
 @dataclass(frozen=True)
@@ -39,9 +48,9 @@ class Craft:
     name: str
     estimator: str | None
 
-    def recorded(self, column: str | None) -> Array:
+    def recorded(self, column: str) -> Array:
         """Return a column of the results."""
-        line = self.run.signal(column or "")
+        line = self.run.signal(column)
         return np.full(self.run.time.size, math.nan) if line is None else line
 
     def signal(self, variable: str) -> Array:
@@ -50,45 +59,18 @@ class Craft:
 
     def estimate(self, variable: str) -> Array:
         """Return a variable of the estimator."""
-        return self.recorded(self.estimator and f"{self.estimator}.{variable}")
+        return self.recorded(f"{self.estimator}.{variable}")
 
     def reference_column(self, variable: str) -> str | None:
-        """Return the reference column of `x` or `psi`.
-
-        The column is the source of the controller's input, else the input.
-        """
+        """Return the column of a reference: the source of the controller's input, else the input."""
         own = f"{self.estimator}.{variable}_ref"
-        columns = (self.run.source(own), own) if self.estimator else ()
-        return next((column for column in columns if column is not None and column in self.run.results), None)
+        return next((c for c in (self.run.source(own), own) if c is not None and c in self.run.results), None)
 
     def reference(self, variable: str) -> Array:
-        """Return the reference of `x` or `psi`, recorded or constant."""
+        """Return the reference of a state, recorded or constant."""
         if column := self.reference_column(variable):
             return self.run.results[column]
         return np.full(self.run.time.size, number(self.run.start(self.estimator).get(f"{variable}_ref")))
-
-    def command(self, variable: str) -> Array:
-        """Return a tilt command of the craft or controller."""
-        here = self.signal(variable)
-        return here if is_drawn(here) else self.estimate(variable)
-
-    @property
-    def tilt_limit(self) -> float | None:
-        """Return the limit of the tilt commands [rad].
-
-        Without a start value, the default applies if no command exceeds it.
-        """
-        given = self.run.start(self.estimator).get("tilt_max")
-        try:
-            limit = read_quantity(given, "rad") if isinstance(given, str) else number(given)  # such as `12 deg`
-        except ValueError:
-            limit = math.nan
-        if np.isfinite(limit) and limit > 0:
-            return limit
-        spans = [extent([self.command(f"tilt_{side}")]) for side in SIDES]
-        if self.estimator is None or None in spans:
-            return None
-        return TILT_MAX if max(abs(end) for span in spans for end in span or ()) <= TILT_MAX * 1.001 else None
 
 
 def is_drawn(*lines: Array) -> bool:
@@ -97,25 +79,60 @@ def is_drawn(*lines: Array) -> bool:
 
 
 def find_crafts(run: Run) -> list[Craft]:
-    """Return every craft with the estimator downstream of it."""
+    """Return every craft with the estimator that is connected to it; a single craft and estimator belong together."""
     names = [name for name, has in run.variables.items() if {"x_world", "y_world", "psi"} <= has]
     estimators = [name for name, has in run.variables.items() if {"x_hat", "x_sigma"} <= has]
-    # A single craft and a single estimator belong together, even without connections in the manifest.
-    alone = len(names) == len(estimators) == 1
-    return [Craft(run, name, estimators[0] if alone else _downstream(run, name, estimators, names)) for name in names]
+    links = [(source.partition(".")[0], target.partition(".")[0]) for source, target in run.links]
+    alone = estimators if len(names) == len(estimators) == 1 else []
+    fed = {name: [target for source, target in links if source == name and target in estimators] for name in names}
+    return [Craft(run, name, next(iter([*fed[name], *alone]), None)) for name in names]
 
 
-def _downstream(run: Run, start: str, names: Iterable[str], blocked: Iterable[str]) -> str | None:
-    """Return the first of `names` downstream of `start`, without passing through `blocked` components."""
-    edges = [(source.partition(".")[0], target.partition(".")[0]) for source, target in run.links]
-    visited, front = {start, *blocked}, [start]
-    while front:
-        front = list(dict.fromkeys(target for source, target in edges if source in front and target not in visited))
-        visited.update(front)
-        for component in front:
-            if component in names:
-                return component
-    return None
+def subject(run: Run, drawing: Drawing) -> ComponentPage:
+    """Return the report sections for the crafts of a run."""
+    crafts, rows = find_crafts(run), sample_rows(run.time.size, POSES)
+    pages, shown = list[Mapping[str, Any]](), set[str]()
+    for craft in crafts:
+        panels = state_panels(craft)
+        states = drawing.plots(panels) if run.time.size else []
+        readouts = [readout(*pair) for pair in zip(panels, states, strict=True)] if states else []
+        page = {"name": craft.name, "estimator": craft.estimator or "", "states": states, "readouts": readouts}
+        pages.append(page | {"responses": response_rows(craft)})
+        for name in STATES:
+            columns = (f"{craft.estimator}.{name}_{end}" for end in ("hat", "sigma", "ref"))
+            shown.update((f"{craft.name}.{name}", craft.reference_column(name) or "", *columns))
+    view, bodies = make_view(crafts, rows, drawing.charts)
+    values = {"pages": pages if run.time.size else [], "view": view if bodies else None}
+    data = {"few": round_values(run.time[rows], 6), "crafts": bodies, "box": view["box"]}
+    return ComponentPage(TEMPLATE, values, shown=frozenset(shown), data=data)
+
+
+def state_panels(craft: Craft) -> list[Panel]:
+    """Return panels of states with references, held between rows, and estimates ±2σ."""
+    panels = []
+    for name, (symbol, title) in STATES.items():
+        true, estimate = craft.signal(name), craft.estimate(f"{name}_hat")
+        if not is_drawn(true):
+            continue
+        lines = ("reference", craft.reference(name)), ("estimate", estimate), ("craft", true)
+        drawn = [(label, line, "true" if label == "craft" else label) for label, line in lines if is_drawn(line)]
+        low, high = (estimate + side * craft.estimate(f"{name}_sigma") for side in (-2, 2))
+        band = ("estimate ±2σ", low, high) if is_drawn(low, high) else None
+        panel = signal_panel(title, UNITS[name], drawn, band, symbol=symbol)
+        panels.append(replace(panel, traces=[replace(t, held=t.label == "reference") for t in panel.traces]))
+    return panels
+
+
+def readout(panel: Panel, plot: Plot) -> Mapping[str, Any]:
+    """Return the last truth, estimate and reference of a state, if recorded, as key of the series and text."""
+    pairs = zip(plot.spec["traces"], panel.traces, strict=True)
+    series = {trace.style: (spec["y"], float(trace.values[-1])) for spec, trace in pairs}
+    shown = [series.get(style, (None, math.nan)) for style in ("true", "estimate", "reference")]
+    cells = [(key, plain(value) if math.isfinite(value) else MISSING) for key, value in shown]
+    return {"symbol": panel.symbol, "title": panel.title, "unit": panel.unit, "cells": cells}
+
+
+# -- responses --------------------------------------------------------------------------------
 
 
 class Response(NamedTuple):
@@ -127,7 +144,6 @@ class Response(NamedTuple):
     target: float
     ramp: float
     settling: float
-    believed: float
     overshoot: float
     rms: float
     final: float
@@ -147,79 +163,57 @@ def reference_steps(time: Array, reference: Array) -> list[tuple[int, int, int]]
 
 def responses(craft: Craft, variable: str) -> list[Response]:
     """Return the responses to each change of a reference."""
-    good, signal, target = finite(craft.signal(variable), craft.reference(variable))
+    both = np.array([craft.signal(variable), craft.reference(variable)])
+    good = np.isfinite(both).all(axis=0)
     if not good.any():
         return []
-    time, estimate = craft.run.time[good], craft.estimate(f"{variable}_hat")[good]
+    time, (signal, target) = craft.run.time[good], both[:, good]
     steps = reference_steps(time, target)
     # A start on target is a response only if the reference never changes.
     if len(steps) > 1 and abs(signal[0] - target[0]) <= SETTLING_BAND:
         steps = steps[1:]
     found = []
     for begin, arrived, end in steps:
-        final, after = float(target[end - 1]), slice(arrived, end)
-        moving = end - arrived < 2  # an unfinished ramp, or a change in the last row
-        settling, believed = (
-            criteria.settling_time(time[after], line[after], final, SETTLING_BAND)
-            if is_drawn(line) and not moving
-            else math.nan
-            for line in (signal, estimate)
+        final, whole, wanted = float(target[end - 1]), signal[begin:end], target[begin:end]
+        is_moving = end - arrived < 2  # an unfinished ramp, or a change in the last row
+        after = time[arrived:end], signal[arrived:end]
+        times = float(time[begin]), float(time[arrived] - time[begin])
+        start = float(target[begin - 1] if begin else signal[0])
+        settling = math.nan if is_moving else criteria.settling_time(*after, final, SETTLING_BAND)
+        errors = (
+            criteria.overshoot(whole, final),
+            criteria.rms_error(whole, wanted),
+            criteria.final_error(whole, wanted),
         )
-        whole, wanted = signal[begin:end], target[begin:end]
-        found.append(
-            Response(
-                variable,
-                float(time[begin]),
-                float(target[begin - 1] if begin else signal[0]),
-                final,
-                float(time[arrived] - time[begin]),
-                settling,
-                believed,
-                criteria.overshoot(whole, final),
-                criteria.rms_error(whole, wanted),
-                criteria.final_error(whole, wanted),
-            )
-        )
+        found.append(Response(variable, times[0], start, final, times[1], settling, *errors))
     return found
 
 
-def finite(*lines: Array) -> list[Array]:
-    """Return the rows in which every line is finite, and the lines in these rows."""
-    good = np.all(np.isfinite(lines), axis=0)
-    return [good, *(line[good] for line in lines)]
+def response_rows(craft: Craft) -> list[dict[str, str]]:
+    """Return the last responses of x and ψ as text."""
+    answers = sorted((r for v in ("x", "psi") for r in responses(craft, v)), key=lambda r: (r.time, r.variable != "x"))
+    rows = []
+    for answer in answers[-MAX_RESPONSES:]:
+        unit, settling = UNITS[answer.variable], amount(answer.settling, "s")
+        if not math.isfinite(answer.settling):
+            settling = MISSING if math.isnan(answer.settling) else f"not within ±{SETTLING_BAND:g}\xa0{unit}"
+        ramp = f", ramp of {amount(answer.ramp, 's', 2)}" if answer.ramp else ""
+        step = f"{amount(answer.start, unit)} → {amount(answer.target, unit)}{ramp}"
+        row = {"symbol": STATES[answer.variable][0], "time": amount(answer.time, "s"), "step": step}
+        errors = {name: amount(getattr(answer, name), unit, 2) for name in ("overshoot", "rms", "final")}
+        rows.append(row | {"settling": settling} | errors)
+    return rows
 
 
-def error_rms(signal: Array, target: Array) -> float:
-    """Return the RMS error over finite rows, else NaN."""
-    good, *lines = finite(signal, target)
-    return criteria.rms_error(*lines) if good.any() else math.nan
+# -- picture ----------------------------------------------------------------------------------
 
-
-def saturation(craft: Craft, side: str) -> float:
-    """Return the share of time at the tilt limit; commands are constant between rows."""
-    command, limit, time = craft.command(f"tilt_{side}"), craft.tilt_limit, craft.run.time
-    if limit is None or time.size < 2 or not is_drawn(command):
-        return math.nan
-    steps = np.diff(time)
-    at_limit = np.abs(command[:-1]) >= limit * (1 - 1e-6)
-    return float(steps[at_limit].sum() / steps.sum())
-
-
-def inside_band(craft: Craft, variable: str) -> float:
-    """Return the share of rows in which the truth is within the estimator's ±2σ band."""
-    names = (f"{variable}_hat", f"{variable}_sigma")
-    good, true, estimate, sigma = finite(craft.signal(variable), *map(craft.estimate, names))
-    # At the start P = 0 and the estimate is exact, so rounding must not count as outside.
-    return float(np.mean(np.abs(estimate - true) <= 2 * sigma + 1e-9)) if good.any() else math.nan
-
-
-DEFAULT_CRAFT = Hovercraft()
-ARM, RADIUS = DEFAULT_CRAFT.arm, DEFAULT_CRAFT.propeller_radius  # [m], defaults of the start values
+BASE_CRAFT = Hovercraft()
+# start value, default [m]
+SIZES = {"arm": ("arm", BASE_CRAFT.arm), "radius": ("propeller_radius", BASE_CRAFT.propeller_radius)}
 PATH_MARGIN_M = 0.42  # m around the path: half a craft and a margin
 MIN_RATIO, MAX_RATIO = 1.25, 1.9  # width / height of the picture
 MIN_SIZE = 0.06  # of the picture's width; a smaller craft is magnified
 ARROW = 250  # mm, about the length of the longest arrow
-MAX_COORDINATE = 1e9  # m; larger whole millimetres do not fit
 ON_TARGET = 0.02  # m; largest initial distance of the craft from a reference path
 
 
@@ -237,36 +231,26 @@ class Track:
         return [round_values(line[rows], digits) for line, digits in lines]
 
 
-def make_track(x: Array, y: Array, psi: Array) -> Track:
-    """Return a track with NaN for poses beyond MAX_COORDINATE."""
-    far = ~(np.maximum(np.maximum(np.abs(x), np.abs(y)), np.abs(psi)) < MAX_COORDINATE)
-    return Track(*(np.where(far, np.nan, line) for line in (x, y, psi)))
-
-
 def true_track(craft: Craft) -> Track:
     """Return the true track of a craft."""
-    return make_track(*map(craft.signal, ("x_world", "y_world", "psi")))
-
-
-def estimated_track(craft: Craft) -> Track | None:
-    """Return the estimated track, made of estimated distance and estimated heading; None without one."""
-    x_hat, psi_hat = craft.estimate("x_hat"), craft.estimate("psi_hat")
-    return _lay_out(craft, x_hat, psi_hat) if is_drawn(x_hat, psi_hat) else None
+    return Track(*map(craft.signal, ("x_world", "y_world", "psi")))
 
 
 def reference_track(craft: Craft) -> Track | None:
     """Return the track of the references if the craft begins on it."""
-    x_ref, psi_ref = craft.reference("x"), craft.reference("psi")
-    begins_there = np.abs(x_ref - craft.signal("x"))[:1] <= ON_TARGET
-    return _lay_out(craft, x_ref, psi_ref) if begins_there.any() and is_drawn(psi_ref) else None
+    way, heading = craft.reference("x"), craft.reference("psi")
+    begins_there = np.abs(way - craft.signal("x"))[:1] <= ON_TARGET
+    return _lay_out(craft, way, heading) if begins_there.any() else None
 
 
-def _lay_out(craft: Craft, way: Array, heading: Array) -> Track:
-    """Return the track of a distance along a heading, from the craft's start."""
+def _lay_out(craft: Craft, way: Array, heading: Array) -> Track | None:
+    """Return the track of a distance along a heading, from the craft's start; None without them."""
+    if not is_drawn(way, heading):
+        return None
     begin, x = true_track(craft), craft.signal("x")
     steps = np.diff(way, prepend=x[0] if is_drawn(x) else way[0])
     ahead, aside = np.cumsum(steps * np.cos(heading)), np.cumsum(steps * np.sin(heading))
-    return make_track(begin.x[0] + ahead, begin.y[0] + aside, heading)
+    return Track(begin.x[0] + ahead, begin.y[0] + aside, heading)
 
 
 def make_view(crafts: Sequence[Craft], rows: Rows, charts: Charts) -> tuple[dict[str, Any], list[dict[str, Any]]]:
@@ -282,7 +266,8 @@ def make_view(crafts: Sequence[Craft], rows: Rows, charts: Charts) -> tuple[dict
             continue
         low, high = extent([true.x, true.y]) or (0.0, 0.0)
         reach, near = 2 * (high - low) + 2, {"true": true}
-        for name, track in (("estimate", estimated_track(craft)), ("reference", reference_track(craft))):
+        estimated = _lay_out(craft, craft.estimate("x_hat"), craft.estimate("psi_hat"))
+        for name, track in (("estimate", estimated), ("reference", reference_track(craft))):
             span = extent([track.x, track.y]) if track is not None else None
             if track and span and low - reach < span[0] and span[1] < high + reach:  # not far from the craft's own
                 near[name] = track
@@ -290,23 +275,20 @@ def make_view(crafts: Sequence[Craft], rows: Rows, charts: Charts) -> tuple[dict
         bodies.append(_body(craft, rows, charts) | {name: track.drawn(rows) for name, track in near.items()})
     x, y = (extent([getattr(track, axis) for track in tracks]) or (0.0, 0.0) for axis in "xy")
     tall, wide = x[1] - x[0] + 2 * PATH_MARGIN_M, y[1] - y[0] + 2 * PATH_MARGIN_M
-    room = 0.03 * max(wide, tall) if max(wide, tall) > 4 else 0.0
-    tall, wide = tall + 2 * room, wide + 2 * room
     wide, tall = max(wide, MIN_RATIO * tall), max(tall, wide / MAX_RATIO)
     left, top = (math.floor(1000 * middle) for middle in (-(y[0] + y[1]) / 2 - wide / 2, -(x[0] + x[1]) / 2 - tall / 2))
     box = left, top, math.ceil(1000 * wide), math.ceil(1000 * tall)
-    return {"box": box, "magnified": max(1.0, MIN_SIZE * box[2] / (2000 * (ARM + RADIUS))), "bodies": bodies}, bodies
+    size = 2000 * (BASE_CRAFT.arm + BASE_CRAFT.propeller_radius)
+    return {"box": box, "magnified": max(1.0, MIN_SIZE * box[2] / size), "bodies": bodies}, bodies
 
 
 def _body(craft: Craft, rows: Rows, charts: Charts) -> dict[str, Any]:
-    start: Mapping[str, Any] = craft.run.start(craft.name)
     body: dict[str, Any] = {"estimate": None, "reference": None, "unit": "N"}
-    body["limit"] = (craft.tilt_limit or 0.0) * DEGREES
-    for key, name, usual in (("arm", "arm", ARM), ("radius", "propeller_radius", RADIUS)):
-        size = number(start.get(name), usual)
+    for key, (name, usual) in SIZES.items():
+        size = number(craft.run.start(craft.name).get(name), usual)
         body[key] = round(1000 * (size if 0 < size < 100 else usual))
     forces = []
-    for side in SIDES:
+    for side in ("right", "left"):
         tilt, thrust = craft.signal(f"tilt_{side}_actual"), craft.signal(f"thrust_{side}")
         if not is_drawn(thrust):
             thrust, body["unit"] = np.ones(tilt.size), ""

@@ -8,7 +8,7 @@ and thrust: §4.5.4, App. D.3.4. Test 5, moment of the weight: §4.5.5, eq 4.10,
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -39,7 +39,6 @@ MEMORY_TIME_CONSTANTS = 5.0  # number of lags and low passes after which the inf
 MIN_LINE_ROWS, MIN_LINE_RANGE = 50, 0.1  # rows of a repetition, [%] of its ramp with thrust, for a line
 MIDDLE_DUTY = 6.0  # [%] origin of polynomials in the duty
 CHEESEMAN_BENNETT = 2.0
-BIN = np.radians(2.5)  # of the tilt
 BEFORE = 0.3  # [s] before a step in a fit
 END_WINDOW_S = (0.68, 0.88)  # [s] after the step, window of the end value in App. D.3.4
 SMOOTHED_ROWS = 9  # rows of the mean in App. D.3.4
@@ -142,39 +141,21 @@ def thrust_line(m: Measurement) -> Result:
         )
     if degree > 1:
         _extend_to_tangents(result, degree, errors, np.concatenate(delayed), np.concatenate(thrust))
-    # figures
     grid = np.linspace(duty.min(), duty.max(), 60)
     basis = np.stack((np.ones_like(grid), grid))
     a, b = (e.value for e in result.estimates)
     covariance = np.cov(result.each.T) / len(result.each) + result.shifts.T @ result.shifts
     half = stats.t.ppf(0.975, len(result.each) - 1) * np.sqrt(np.einsum("ik,ij,jk->k", basis, covariance, basis))
     fitted, some = a + b * grid, slice(None, None, max(1, duty.size // 1500))
-    bins = np.linspace(duty.min(), duty.max(), 9)
-    spread = stats.binned_statistic(duty, raw - a - b * duty, _reach, bins).statistic
-    middle, spread = (0.5 * (bins[1:] + bins[:-1]))[spread > 0], spread[spread > 0]
-    axes, unbiased = ("duty [%]", "gf"), ("unbiased", grid, fitted, "true")
-    readings, estimator = (
+    drawn = [
         ("readings", duty[some], raw[some], "dots"),
+        ("unbiased", grid, fitted, "true"),
         ("thesis' estimator", grid, offset + slope * grid, "s1"),
-    )
-    banded = [unbiased, ("printed, eq 4.20", grid, -2076.0 + 359.9 * grid, "reference")]
-    band = ("95 % of the line", grid, fitted - half, fitted + half)
-    bars = [(middle, a + b * middle - spread, a + b * middle + spread)]
-    result.figures = [
-        Figure(
-            "Thrust over duty: readings and fitted lines",
-            *axes,
-            [readings, unbiased, estimator],
-            counterpart="Fig 4.10",
-        ),
-        Figure("Thrust over duty: line with its 95 % band", *axes, banded, band, bars, counterpart="Fig 4.11"),
+        ("printed, eq 4.20", grid, -2076.0 + 359.9 * grid, "reference"),
     ]
+    band, title = ("95 % of the line", grid, fitted - half, fitted + half), "Thrust over duty: readings and lines"
+    result.figures = [Figure(title, "duty [%]", "gf", drawn, band, counterparts=("4.10", "4.11"))]
     return result
-
-
-def _reach(values: Array) -> float:
-    """Return 1.96 standard deviations of values; 0 for fewer than two values."""
-    return 1.96 * float(np.std(values, ddof=1)) if len(values) > 1 else 0.0
 
 
 def _extend_to_tangents(result: Result, degree: int, errors: Mapping[int, float], duty: Array, thrust: Array) -> None:
@@ -324,11 +305,10 @@ def ground_effect_exponent(m: Measurement) -> Result:
         ("Cheeseman and Bennett, k = 2", grid, curve(CHEESEMAN_BENNETT), "reference"),
     ]
     band, bars = ("95 % of k", grid, curve(estimate.high), curve(estimate.low)), [(over, mean - half, mean + half)]
-    axes, title = ("height / radius", "Γ"), "Ground effect over height: means with 95 % intervals"
+    axes, title = ("height / radius", "Γ"), "Ground effect over height: readings, means with 95 % intervals, models"
     result.figures = [
-        Figure("Ground effect Γ over height, for several exponents k", *axes, several, counterpart="Fig 4.6"),
-        Figure("Ground effect over height: readings and models", *axes, [readings, *models], counterpart="Fig 4.12"),
-        Figure(title, *axes, models, band=band, bars=bars, counterpart="Fig 4.13"),
+        Figure("Ground effect Γ over height, for several exponents k", *axes, several, counterparts=("4.6",)),
+        Figure(title, *axes, [readings, *models], band, bars, ("4.12", "4.13")),
     ]
     return result
 
@@ -360,42 +340,26 @@ def projection(m: Measurement) -> Result:
     test = m.test
     functions: Sequence[tuple[str, str, Any]] = (("z", "vertical", np.cos), ("x", "horizontal", np.sin))
 
-    def runs(of: Measurement, c: str, f: Any) -> Iterator[tuple[Array, Array, Array, float]]:
-        """Yield tilt, its function after the low pass, and force in the window, and the thrust, of each run."""
-        for r in m.recordings:
-            w, alpha = m.inside(r), m.tilt(r)
-            thrust = float(of.force(r, "z")[r.rows(test.hold)].mean())
-            yield alpha[w], low_pass(f(alpha), r.step, test.low_pass)[w], of.force(r, c)[w], thrust
+    def factor(of: Measurement, r: Recording, c: str, f: Any) -> float:
+        """Return the factor of a run on a function of the tilt, after the low pass."""
+        s, y = low_pass(f(m.tilt(r)), r.step, test.low_pass)[m.inside(r)], of.force(r, c)[m.inside(r)]
+        return float(y @ s / (s @ s) / of.force(r, "z")[r.rows(test.hold)].mean())
 
     def factors(of: Measurement) -> Array:
-        each = [[y @ s / (s @ s) / thrust for _, s, y, thrust in runs(of, c, f)] for c, _, f in functions]
-        return np.array(each).T
+        return np.array([[factor(of, r, c, f) for c, _, f in functions] for r in m.recordings])
 
     # thesis: thrust of five rows of the fifth test, commanded angle, no tare
     fifth = m.recordings[min(4, len(m.recordings) - 1)]
     total = float(m.printed_force(fifth, "z")[m.inside(fifth)][:5].mean())
     thesis = {f"{name}_projection": m.printed_factor(c, f) / total for c, name, f in functions}
     result = estimated(m, "projection", factors, "zx", thesis, "Test 3, over cos α and sin α")
-    # deviation of the functions themselves, in bins of the angle
-    edges, largest = BIN * np.arange(-36, 37), {}
-    for letter, (c, _, f) in zip("VH", functions, strict=True):
-        off = [
-            stats.binned_statistic(alpha, y / thrust - s, "mean", edges).statistic  # NaN for an empty bin
-            for alpha, s, y, thrust in runs(m, c, f)
-        ]
-        largest[letter] = float(np.nanmax(np.abs(np.mean(off, axis=0))))
-    result.details = {"largest_deviation": largest}
-    result.notes.append(
-        f"V(α) deviates from cos α by at most {largest['V']:.4f}, H(α) from sin α by {largest['H']:.4f}, in bins of "
-        "2.5°: sine and cosine describe the projection."
-    )
     first, same = m.recordings[0], _equally_long(m)
     alpha = m.tilt(first)[m.inside(first)]
     total = np.mean([m.gram_force(r, "z")[r.rows(test.hold)].mean() for r in same])
     for c, name, f in functions:
         data = np.array([m.gram_force(r, c)[m.inside(r)] for r in same])
         line = (f"T·{f.__name__} α", np.degrees(alpha), total * f(alpha))
-        result.figures += _over_tilt(f"{name.capitalize()} force", "gf", data, line, (120, 10), ("4.14", "4.15"))
+        result.figures.append(_over_tilt(f"{name.capitalize()} force", "gf", data, line, ("4.14", "4.15")))
     return result
 
 
@@ -429,7 +393,7 @@ def moment(m: Measurement) -> Result:
     alpha, arm = first.commanded_tilt(m.bench)[m.inside(first)], result.estimates[0].value
     line = (f"m·g·l·sin α, l = {1000 * arm:.4f} mm", np.degrees(alpha), 1000.0 * arm * per_arm(alpha))
     data = 1000.0 * np.array([m.force(r, "m")[m.inside(r)] for r in _equally_long(m)])
-    result.figures = _over_tilt("Moment", "mN·m", data, line, (90, 12), ("4.19", "4.20"))
+    result.figures = [_over_tilt("Moment", "mN·m", data, line, ("4.19", "4.20"))]
     return result
 
 
@@ -440,32 +404,21 @@ def _equally_long(m: Measurement) -> list[Recording]:
 
 
 def _over_tilt(
-    name: str,
-    unit: str,
-    data: Array,
-    model: tuple[str, Array, Array],
-    drawn: tuple[int, int],
-    counterparts: Sequence[str],
-) -> list[Figure]:
-    """Return the figures of readings and their range over the tilt.
+    name: str, unit: str, data: Array, model: tuple[str, Array, Array], counterparts: Sequence[str]
+) -> Figure:
+    """Return the figure of readings, shape (tests, rows), over the tilt, with the range of 95 % of them.
 
     Args:
-        data: Readings, shape (tests, rows).
         model: Label, tilt [°] and value of each row.
-        drawn: About how many readings of a test, and how many ranges.
     """
     label, angle, values = model
-    some, few = (slice(None, None, max(1, angle.size // count)) for count in drawn)
+    some, few = (slice(None, None, max(1, angle.size // count)) for count in (100, 10))
     spread = 1.96 * np.sqrt(((data - values) ** 2).sum(axis=0) / max(1, len(data) - 1))
     order = np.argsort(angle, kind="stable")
-    line = (label, angle[order], values[order], "true")
     readings = ("readings", np.tile(angle[some], len(data)), data[:, some].ravel(), "dots")
+    lines = [readings, (label, angle[order], values[order], "true")]
     ends = [(angle[few], (values - spread)[few], (values + spread)[few])]
-    title, axes, (first, second) = f"{name} over the tilt", ("tilt [°]", unit), counterparts
-    return [
-        Figure(f"{title}: readings and model", *axes, [readings, line], counterpart=f"Fig {first}"),
-        Figure(f"{title}: range of 95 % of the readings", *axes, [line], bars=ends, counterpart=f"Fig {second}"),
-    ]
+    return Figure(f"{name} over the tilt", "tilt [°]", unit, lines, bars=ends, counterparts=counterparts)
 
 
 # -- lags after a step and after sines --------------------------------------------------------
@@ -507,8 +460,6 @@ def after_step(m: Measurement, *, thrust: bool = False) -> Result:
         f"By the methods of the thesis: {shown[0]} by 63 %, {shown[1]} by rise time, {shown[2]} by slope; "
         f"single fits {shown[3]} (± is 1.96 σ of one test)."
     )
-    if not thrust and m.truth:
-        result.notes.append("63 % of sin α for 25° is reached at 0.961 τ, because the sine is nonlinear.")
     tau, first, window = result.estimates[0].value, m.recordings[0], (at - 0.1, at + 0.9)
     x = np.concatenate([np.append(r.time[r.rows(window)] - at, np.nan) for r in m.recordings])
     y = np.concatenate([np.append(m.gram_force(r, channel)[r.rows(window)], np.nan) for r in m.recordings])
@@ -519,8 +470,8 @@ def after_step(m: Measurement, *, thrust: bool = False) -> Result:
     tests = (f"{len(m.recordings)} tests", x, y, "s0")
     fit = (f"fit, τ = {1000 * tau:.1f} ms", first.time[rows] - at, offset + slope * shape, "true")
     of = "Thrust after a step of the duty" if thrust else "Horizontal force after a step of the tilt"
-    counterpart = "" if thrust else "Fig 4.16"
-    result.figures = [Figure(f"{of}: tests and fit", *axes, [tests, fit], counterpart=counterpart)]
+    counterparts = () if thrust else ("4.16",)
+    result.figures = [Figure(f"{of}: tests and fit", *axes, [tests, fit], counterparts=counterparts)]
     return result
 
 
@@ -602,18 +553,16 @@ def after_sines(m: Measurement) -> Result:
         mean, half, *_ = interval(ours)
         result.details |= {key: mean.tolist(), f"{key}_half": half.tolist()}
         result.details[f"thesis_{key}"] = by_hand.mean(axis=0).tolist()
-        axes, line = ("frequency [rad/s]", unit), (f"first order, τ = {1000 * tau:.1f} ms", grid, curve, "true")
-        single = [
+        drawn = [
             ("thesis' estimator", x / apart, by_hand.ravel(), "dots pale"),
             ("sines fitted", x * apart, ours.ravel(), "dots"),
-            line,
+            ("thesis' estimator, mean", frequencies, by_hand.mean(axis=0), "s1"),
+            (f"first order, τ = {1000 * tau:.1f} ms", grid, curve, "true"),
         ]
-        averaged = [("thesis' estimator, mean", frequencies, by_hand.mean(axis=0), "s1"), line]
         bars, title = [(frequencies, mean - half, mean + half)], f"Tilt response, {key.partition('_')[0]}"
-        result.figures += [
-            Figure(f"{title}: single tests", *axes, single, counterpart="Fig 4.17", log=True),
-            Figure(f"{title}: means with 95 % intervals", *axes, averaged, None, bars, "Fig 4.18", log=True),
-        ]
+        result.figures.append(
+            Figure(title, "frequency [rad/s]", unit, drawn, bars=bars, counterparts=("4.17", "4.18"), log=True)
+        )
     return result
 
 

@@ -15,7 +15,6 @@ from plant.identification.estimates import LAGS, Measurement, Result, held_lag
 from plant.identification.protocol import (
     CELL_UNITS,
     MIN_REPETITIONS,
-    OWN_BENCH,
     HeightTest,
     HoldTest,
     Protocol,
@@ -47,7 +46,7 @@ def planned_faults(protocol: Protocol) -> Iterator[Fault]:
     file = protocol.file
     for name, test in file.tests.named_tests():
         runs = [] if test.files else commands(test, protocol.bench, file.step)
-        lacking = (lacks(protocol.bench, name, test, run, own=file.bench == OWN_BENCH) for run in runs)
+        lacking = (lacks(protocol.bench, name, test, run, own=file.bench is not None) for run in runs)
         for key, message in {(key, message) for faults in lacking for key, _, message in faults}:
             yield protocol.yaml.fault(("tests", name, key), message)
 

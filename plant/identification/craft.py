@@ -86,7 +86,6 @@ class CraftFile(Part):
 class CraftUnderTest:
     """A file for identification from logs of a craft, with its model and logs."""
 
-    yaml: YamlFile
     file: CraftFile
     loaded: LoadedModel
     rest: Sequence[Log]
@@ -134,7 +133,7 @@ def read_craft(path: Path) -> CraftUnderTest | None:
     text = "all inputs are constant, so it has no motion to match; remove it"
     still = [run for run in logs["distance"] if all(np.ptp(v) == 0.0 for v in run.inputs.values())]
     refuse(faults + [Fault(run.path, 0, 0, text) for run in still])
-    return CraftUnderTest(yaml, content, loaded, logs["rest"], logs["distance"])
+    return CraftUnderTest(content, loaded, logs["rest"], logs["distance"])
 
 
 # -- noise at rest --------------------------------------------------------------------------

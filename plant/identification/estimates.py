@@ -50,7 +50,7 @@ class Estimate(NamedTuple):
 
 
 class Figure(NamedTuple):
-    """A figure of the report: lines and points over x, each with label, x, y, style. `log`: logarithmic x axis."""
+    """A figure of the report: lines and points over x, each with label, x, y, style; `counterparts`: of the thesis."""
 
     title: str
     x_label: str
@@ -58,7 +58,7 @@ class Figure(NamedTuple):
     lines: Sequence[tuple[str, Array, Array, str]]
     band: tuple[str, Array, Array, Array] | None = None
     bars: Sequence[tuple[Array, Array, Array]] = ()
-    counterpart: str = ""
+    counterparts: Sequence[str] = ()
     log: bool = False
 
 

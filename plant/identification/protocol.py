@@ -34,7 +34,6 @@ from plant.identification import PROTOCOL
 
 MIN_REPETITIONS = 3  # repetitions: intervals are computed from the scatter between them
 CELL_UNITS = {"z": "N", "x": "N", "m": "N.m"}  # cell → SI unit
-OWN_BENCH = "bench"  # the bench of this package
 MAX_OVERLOAD = 1.5  # largest calibration load, as a multiple of full scale
 MIN_STEP, MAX_RUN_TIME = 1e-3, 3600.0  # [s] between rows of a simulated run, and of the whole
 MIN_LOADS = 4  # different loads of a calibration
@@ -260,7 +259,7 @@ class ProtocolFile(Part):
 
     schema_version: 1
     name:       Name of the results.
-    bench:      `bench`, built here, or the FMU of another bench; by default tests need files.
+    bench:      `bench`, which is simulated; by default tests need files.
     model:      Model whose parameters powertrain.yaml sets.
     seed:       Seed of every random stream.
     step:       Time between rows [s].
@@ -272,7 +271,7 @@ class ProtocolFile(Part):
 
     schema_version: Literal[1] = 1
     name: str
-    bench: str | None = None
+    bench: Literal["bench"] | None = None
     model: str = "hovercraft"
     seed: Annotated[int, Field(strict=True, ge=0)] = 1
     step: Annotated[Positive, Field(ge=MIN_STEP), InUnit("s")] = 0.02
@@ -330,8 +329,6 @@ def read_protocol(path: Path) -> Protocol:
         if content.bench is None and not test.files:
             cure = "give a bench to simulate as `bench:`, or recordings as `files:`"
             faults.append(yaml.fault(("tests", name), f"has no files, and no bench is simulated; {cure}", key=True))
-    if content.bench not in (None, OWN_BENCH) and not (path.parent / str(content.bench)).is_file():
-        faults.append(yaml.fault(("bench",), f"no such FMU: {content.bench}; give its path, or {OWN_BENCH}"))
     refuse(faults)
     bench = bench.with_values(values)
     if (ground := content.tests.ground_effect) is not None and not ground.files:

@@ -1,4 +1,4 @@
-"""Recordings of a protocol, simulated by an FMU or measured, and the load cells that convert their voltages to forces.
+"""Recordings of a protocol, simulated or measured, and the load cells that convert their voltages to forces.
 
 The thesis uses a piecewise cubic through every calibration point (interp1), including its error. Here one cubic is
 fitted to all points; the piecewise cubic is used only if that cubic is not monotonic.
@@ -6,7 +6,6 @@ fitted to all points; the piecewise cubic is used only if that cubic is not mono
 
 from __future__ import annotations
 
-import ctypes
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -16,11 +15,11 @@ from typing import Any
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 
-from cosim.blocks.fmu import RestartableFmu
 from cosim.core.arrays import Array, Flags
 from cosim.core.errors import Fault, InputError, refuse
-from cosim.fmi.description import read_description
 from cosim.logs.log import read_log
+from cosim.model import Stepper
+from cosim.model.namespaces import arrays
 from plant.bench import FREE_HEIGHT, NEUTRAL_DUTY, REST_DUTY, Bench
 from plant.identification.protocol import CELL_UNITS, HeightTest, Protocol, SineTest
 from plant.powertrain import servo_angle
@@ -146,13 +145,8 @@ def load_runs(protocol: Protocol, seed: int) -> dict[str, list[Recording]]:
     return by_channel
 
 
-def play_on_fmu(
-    fmu: Path,
-    parameters: Mapping[str, float],
-    runs: Sequence[Recording],
-    progress: Callable[[int], None] | None = None,
-) -> list[Recording]:
-    """Simulate runs one after another on an FMU with the bench's variables.
+def play(bench: Bench, runs: Sequence[Recording], progress: Callable[[int], None] | None = None) -> list[Recording]:
+    """Simulate runs on a bench; runs with equal commands are computed together.
 
     Row k contains the reading at t_k and the command that acts from t_k on. Noise is added to the reading at the end of
     a step.
@@ -160,40 +154,30 @@ def play_on_fmu(
     Args:
         progress: Function that is called with the number of completed rows of all runs.
     """
-    own, cells = [q.name for q in Bench.inputs], [f"volts_{c}" for c in CELL_UNITS]
-    block = RestartableFmu("bench", fmu, read_description(fmu), {}, frozenset(own))
-    try:
-        count, names = len(block.inputs), [s.name for s in (*block.inputs, *block.outputs)]
-        text = f"it has {', '.join(names)}"
-        refuse(Fault(fmu, 0, 0, f'is not a bench: it lacks "{n}"; {text}') for n in (*own, *cells) if n not in names)
-        order, read = [own.index(n) for n in names[:count]], [names.index(n) for n in cells]
-        row = (ctypes.c_double * len(names))()
-        block.bind(row, 0)
-        recordings, rows = [], 0
-        for run in runs:
-            time, values = run.time.tolist(), {"thrust_factor": run.thrust, "filter_time": run.low_pass}
-            block.restart({**parameters, **values}, time[0], time[-1])
-            # row k contains the inputs, with reading noise, of the step that ends at t_k
-            before, loads = np.maximum(np.arange(len(time)) - 1, 0), (np.full(len(time), load) for load in run.loads)
-            commanded = (run.duty[before], run.servo_duty[before], run.height, *loads, *run.noise)
-            volts, step = [], run.step
-            for k, command in enumerate(np.column_stack(commanded)[:, order].tolist()):
-                row[:count] = command
-                block.put()
-                if k:
-                    block.advance(time[k], step)
-                block.get()
-                if not k:
-                    block.start()
-                volts.append([row[j] for j in read])
-            by_cell = np.ascontiguousarray(np.transpose(volts))
-            recordings.append(replace(run, volts=dict(zip(CELL_UNITS, by_cell, strict=True))))
-            rows += len(time)
-            if progress is not None:
-                progress(rows)
-        return recordings
-    finally:
-        block.close()
+    groups, played, rows = dict[tuple[Any, ...], list[int]](), dict[int, Recording](), 0
+    for number, run in enumerate(runs):
+        commands = run.duty.tobytes(), run.servo_duty.tobytes(), run.height.tobytes(), run.low_pass
+        groups.setdefault(commands, []).append(number)
+    for numbers in groups.values():
+        lanes = [runs[number] for number in numbers]
+        first, count = lanes[0], lanes[0].time.size
+        thrust, noise = np.array([r.thrust for r in lanes]), np.stack([r.noise for r in lanes], axis=2)
+        stepper = Stepper(bench.with_values({"thrust_factor": thrust, "filter_time": first.low_pass}), arrays())
+        loads = np.array([r.loads for r in lanes]).T
+        moment, volts = stepper.start(float(first.time[0])), np.empty((count, len(CELL_UNITS), len(lanes)))
+        for k in range(count):
+            before = max(k - 1, 0)
+            held = float(first.duty[before]), float(first.servo_duty[before]), float(first.height[k])
+            command = (*held, *loads, *noise[:, k])
+            if k:
+                moment = stepper.step(moment, command, first.step)
+            volts[k] = stepper.output(moment.t, moment.state, command)[: len(CELL_UNITS)]
+        for number, run, own in zip(numbers, lanes, np.moveaxis(volts, 2, 0), strict=True):
+            played[number] = replace(run, volts=dict(zip(CELL_UNITS, np.ascontiguousarray(own.T), strict=True)))
+        rows += count * len(lanes)
+        if progress is not None:
+            progress(rows)
+    return [played[number] for number in range(len(runs))]
 
 
 # -- measured recordings ------------------------------------------------------------------

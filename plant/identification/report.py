@@ -44,14 +44,13 @@ def page(
         recordings: Description of the data, such as `3 logs`.
         calibrated: Channel, cell, load unit in N or N m, and name of the unit.
     """
-    charts, every = Charts(), [(TEST_TITLES[r.test], e) for r in results for e in r.estimates]
-    testable = [e for _, e in every if not np.isnan(e.truth)]
+    charts, every = Charts(), [e for r in results for e in r.estimates]
+    testable = [e for e in every if not np.isnan(e.truth)]
     held = sum(e.covers_truth for e in testable)
-    widths = {e.name: e.half_width / abs(e.value) for _, e in every if e.value and np.isfinite(e.half_width)}
     headline = f"{counted(len(every), 'number')} identified from {counted(len(results), 'test')}"
     if testable:
         headline = f"{held} of {len(testable)} intervals of 95 % contain the true value."
-    elif widths:
+    elif widths := {e.name: e.half_width / abs(e.value) for e in every if e.value and np.isfinite(e.half_width)}:
         least = max(widths, key=lambda name: widths[name])
         headline += f"; the least accurate is {least}, ±{plain(100 * widths[least], 2)}\u00a0%."
     cells, plots = [], []
@@ -59,23 +58,27 @@ def page(
         shown, grid = written(unit_name), np.linspace(cell.volts[0], cell.volts[-1], 200)
         lines = [("curve", grid, cell.force(grid) / unit, "true"), ("points", cell.volts, cell.loads / unit, "dots")]
         plots.append(
-            (plot_of(Figure(f"{CELLS[c]}: load over voltage", "voltage [V]", shown, lines), charts), "Fig 3.18")
+            (plot_of(Figure(f"{CELLS[c]}: load over voltage", "voltage [V]", shown, lines), charts), ("3.18",))
         )
         left_out = float(np.sqrt(np.mean(cell.cross_validation_errors**2)))
         errors = (append_unit(plain(error / unit, 3), shown) for error in (cell.error, left_out))
         rail = ", ".join(f"{f / unit:g}" for f in cell.saturated_loads)
         cells.append((f"volts_{c}", counted(cell.loads.size, "point"), *errors, append_unit(rail or MISSING, shown)))
-    tests = []
-    for r in results:
-        notes = [*(f"Warning: {text}." for text in r.warnings), *r.notes]
-        figures = [(plot_of(f, charts), f.counterpart) for f in r.figures]
-        tests.append({"name": r.test, "title": TEST_TITLES[r.test], "notes": notes, "plots": figures})
+    tests = [
+        {
+            "name": r.test,
+            "title": TEST_TITLES[r.test],
+            "notes": [*(f"Warning: {text}." for text in r.warnings), *r.notes],
+            "plots": [(plot_of(f, charts), f.counterparts) for f in r.figures],
+        }
+        for r in results
+    ]
     values = {
         "name": name,
         "headline": headline,
         "tone": "good" if testable and held == len(testable) else "plain",
         "badges": [counted(len(results), "test"), recordings],
-        "rows": [{**_shown(e), "test": title} for title, e in every],
+        "rows": [_shown(e) for e in every],
         "known": bool(testable),
         "cells": cells,
         "cell_plots": plots,
@@ -86,26 +89,23 @@ def page(
 
 
 def _shown(e: Estimate) -> dict[str, Any]:
-    """Return the numbers of an estimate as texts; the half-width of the interval determines the number of digits."""
+    """Return the numbers of an estimate as text; the half-width of the interval determines the digits."""
+    unit, scale = {"s": ("ms", 1000.0), "m": ("mm", 1000.0)}.get(e.unit, (written(e.unit), 1.0))
 
-    def number(value: float, like: float) -> str:
+    def number(value: float) -> str:
         if not np.isfinite(value):
             return MISSING
-        unit, scale = {"s": ("ms", 1000.0), "m": ("mm", 1000.0)}.get(e.unit, (written(e.unit), 1.0))
-        size = abs(like) * scale
-        digits = 4 if size == 0 else int(np.clip(np.floor(np.log10(max(abs(value * scale), 1e-12) / size)) + 3, 2, 6))
-        return append_unit(plain(value * scale, digits), unit)
+        ratio = max(abs(value), 1e-12) / (e.half_width or abs(value) or 1.0)
+        return append_unit(plain(value * scale, int(np.clip(np.floor(np.log10(ratio)) + 3, 2, 6))), unit)
 
-    shown = {n: number(getattr(e, n), e.half_width) for n in ("value", "low", "high", "thesis", "truth")}
+    shown = {name: number(getattr(e, name)) for name in ("value", "low", "high", "thesis", "truth")}
     marks = places(low=e.low, high=e.high, neutral=e.truth, thesis=e.thesis, dot=e.value)
-    return {
+    return shown | {
         "name": e.name,
         "origin": f"{e.origin}; {counted(e.repetitions, 'repetition')}",
         "interval": f"{shown['low']} … {shown['high']}",
         "holds": e.covers_truth,
         "places": marks if len(marks) >= 3 and len({*marks.values()}) > 1 else {},
-        **shown,
-        **{n: number(getattr(e, n), getattr(e, n)) for n in ("scatter", "calibration")},
     }
 
 

@@ -12,8 +12,7 @@ from typing import Any
 import numpy as np
 
 from cosim.core.errors import Fault, InputError, refuse
-from cosim.core.registry import is_model, model_entry, resolve
-from cosim.core.scratch import temporary_folder
+from cosim.core.registry import is_model
 from cosim.core.settings import Seed
 from cosim.core.text import as_yaml, counted
 from cosim.core.version import __version__
@@ -22,7 +21,6 @@ from cosim.files.files import FilePath, check_writable, write_json, write_text
 from cosim.files.folders import new_run, remove_earlier
 from cosim.files.kinds import shell_path
 from cosim.fmi.building.file import load_model, named_model
-from cosim.fmi.fmu_build import build
 from cosim.model import SCALAR, Model
 from plant.bench import Bench
 from plant.identification.analyses import (
@@ -36,8 +34,8 @@ from plant.identification.analyses import (
 from plant.identification.checks import planned_faults, recording_faults, result_faults
 from plant.identification.craft import read_craft
 from plant.identification.estimates import Estimate, Measurement, Result
-from plant.identification.protocol import CELL_UNITS, OWN_BENCH, Protocol, read_protocol
-from plant.identification.recordings import Cells, Recording, calibrate, load_runs, play_on_fmu, read_recording, runs_of
+from plant.identification.protocol import CELL_UNITS, Protocol, read_protocol
+from plant.identification.recordings import Cells, Recording, calibrate, load_runs, play, read_recording, runs_of
 from plant.identification.report import page
 from plant.powertrain import ground_effect
 
@@ -220,11 +218,7 @@ def _recorded(
         every = [run for group in (*loads.values(), *runs.values()) for run in group]
         total = sum(run.time.size for run in every) or 1
         tell = None if progress is None else (lambda done: progress("simulating the bench", done / total))
-        with temporary_folder("identify") as folder:
-            fmu = protocol.yaml.path.parent / protocol.file.bench
-            if protocol.file.bench == OWN_BENCH:
-                fmu = build(resolve(model_entry(OWN_BENCH).recipe)(), folder / "bench.fmu")
-            played = iter(play_on_fmu(fmu, protocol.file.parameters, every, tell))
+        played = iter(play(protocol.bench, every, tell))
         hung, simulated = (
             {n: [next(played) for _ in group] for n, group in groups.items()} for groups in (loads, runs)
         )
@@ -240,7 +234,7 @@ def analyse(protocol: Protocol, cells: Cells, recordings: Recordings) -> list[Re
 
     Numbers that a test needs come from earlier tests or, without these, from the protocol.
     """
-    bench, truth = protocol.bench, protocol.bench if protocol.file.bench == OWN_BENCH else None
+    bench, truth = protocol.bench, protocol.bench if protocol.file.bench else None
     if truth is not None:  # estimated parameters must not be known
         blank = Bench()
         unknown = ("thrust_offset", "thrust_slope", "lag", "assembly_arm")

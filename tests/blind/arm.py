@@ -3,8 +3,6 @@
 In every study the belt to joint 2 is slightly elastic, and the torques ripple by 2 % over a turn of the motor. Encoders
 round to 0.1 mrad, and measured torques are wrong by about 1 %. In five of six studies both joints have dry friction, in
 the sixth none. The simulation uses nothing of the project; `least_squares` supplies an error for comparison.
-
-    python -m tests.blind.arm 3 /tmp/study      seed and folder; prints the answer
 """
 
 from __future__ import annotations
@@ -23,7 +21,7 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import least_squares as minimise
 from scipy.signal import savgol_filter
 
-from tests.blind.field_rig import LOGS, Array, Random, base_numbers, csv, log_uniform, random_stream, show, write_study
+from tests.blind.field_rig import LOGS, Array, Random, base_numbers, csv, log_uniform, random_stream, write_study
 
 PLANT = Path(__file__).with_name("plants") / "arm.py"
 STEP, ROWS, HORIZON = 0.005, 2000, 0.3  # [s], rows of a log, [s] of a prediction
@@ -193,7 +191,3 @@ def missed(values: Array, log: Log) -> Array:
             x = x + h / 6 * (k1 + 2 * k2 + 2 * k3 + slopes(x + h * k3, u))
         errors[k] = (log.angle[starts + k + 1].T - x[:2]).T
     return np.clip(errors.reshape(-1, 2), -10.0, 10.0)
-
-
-if __name__ == "__main__":
-    show("arm", draw, write, answer)

@@ -22,7 +22,6 @@ import signal
 import statistics
 import subprocess
 import sys
-import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
@@ -64,8 +63,7 @@ def conduct(suite: str, seed: int, python: str, revision: str) -> Line:
             path.write_bytes(revisions.git("show", f"{revision}:tests/blind/plants/{path.name}"))
         command(study, out)
 
-    with tempfile.TemporaryDirectory(prefix="baseline-") as folder:
-        _, line = harness.conduct(suite, seed, refiner, Path(folder))
+    _, line = harness.conduct(suite, seed, refiner)
     del line["seconds"]
     return line | {"revision": revision}
 

@@ -11,10 +11,8 @@ from __future__ import annotations
 
 import argparse
 import pickle
-import tempfile
 from collections import Counter
 from collections.abc import Callable, Iterable
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -32,19 +30,16 @@ FOLDER = Path(__file__).resolve().parents[2] / "build" / "bundles"
 Rule = Callable[[Bundle], Decision]
 
 
-def keep(suite: str, seed: int) -> str:
-    """Refine a study, and keep its bundle, truth and line."""
+def keep(suite: str, seed: int) -> Line:
+    """Refine a study, and keep its bundle and line."""
     results: list[Any] = []
-    with tempfile.TemporaryDirectory() as folder:
-        _, line = harness.conduct(
-            suite, seed, lambda study, out: results.append(refine(study, out, report=False)), Path(folder)
-        )
+    _, line = harness.conduct(suite, seed, lambda study, out: results.append(refine(study, out, report=False)))
     if not results:
-        raise RuntimeError(f"{suite} {seed}: {line['failure']}")
+        raise harness.StudyFailed(line["failure"])
     place = FOLDER / f"{suite}_{seed}.pickle"
     place.with_suffix(".part").write_bytes(pickle.dumps((results[0].verdict.bundle, line)))
     place.with_suffix(".part").rename(place)
-    return f"{suite} {seed}: {outcome(line)}"
+    return line
 
 
 def outcome(line: Line) -> str:
@@ -136,10 +131,8 @@ def main() -> None:
     FOLDER.mkdir(parents=True, exist_ok=True)
     wanted = [(suite, int(first), int(count)) for suite, first, count in (s.split(":") for s in given.studies)]
     todo = sorted((k, suite, first + k) for suite, first, count in wanted for k in range(count))  # suites in turn
-    todo = [(k, suite, seed) for k, suite, seed in todo if not (FOLDER / f"{suite}_{seed}.pickle").exists()]
-    with ProcessPoolExecutor(given.jobs, max_tasks_per_child=1) as pool:
-        for future in as_completed([pool.submit(keep, suite, seed) for _, suite, seed in todo]):
-            print(future.exception() or future.result(), flush=True)
+    missing = [(suite, seed) for _, suite, seed in todo if not (FOLDER / f"{suite}_{seed}.pickle").exists()]
+    harness.run(missing, keep, FOLDER / "lines.jsonl", given.jobs)
     if not wanted:
         print(*table(pickle.loads(place.read_bytes()) for place in sorted(FOLDER.glob("*.pickle"))), sep="\n")
 

@@ -19,15 +19,10 @@ from tests.blind.field_rig import (
     Rig,
     hidden_in,
     kept_level,
-    moving,
+    pulses,
     rounded,
     sensor,
 )
-
-
-def now_and_then(f: Any, t: Any, period: Any, length: Any, value: Any) -> Any:
-    """Return a value for a length of each period, and 0 between."""
-    return f.where(t % period < length, value, 0.0)
 
 
 class DriveTrain(Rig):
@@ -85,17 +80,15 @@ class DriveTrain(Rig):
             torque = (u[0] + uneven * f.absolute(u[0]) + offset) * (
                 1.0 + hidden("amplifier_hunting", lambda depth, frequency: depth * f.sin(2.0 * math.pi * frequency * t))
             )
-            torque = torque + hidden("cogging", lambda sine, cosine: sine * f.sin(4.0 * angle))
-            torque = torque + hidden("cogging", lambda sine, cosine: cosine * f.cos(4.0 * angle))
+            turn = 4.0 * angle
+            torque = torque + hidden("cogging", lambda sine, cosine: sine * f.sin(turn) + cosine * f.cos(turn))
             twist = angle - load_angle
             belt = stiffness * twist + p["belt_damping"] * (speed - w)
             belt = belt + hidden("cubic_belt", lambda stiffness: stiffness * twist**3)
             belt = belt - hidden("belt_play", lambda width: stiffness * width * f.tanh(twist / (width + 1e-3)))
             dry = hidden("load_coulomb", lambda level: level)
             dry = dry + hidden("load_stribeck", lambda breakaway, speed: breakaway * f.exp(-((w / speed) ** 2)))
-            dry = dry + hidden(
-                "dragging_brake", lambda level, period, length: now_and_then(f, t, period, length, level)
-            )
+            dry = dry + hidden("dragging_brake", pulses(f, t))
             brakes = p["load_damping"] * w + dry * f.tanh(w / 0.3)
             brakes = brakes + hidden("fan_drag", lambda coefficient: coefficient * w * f.absolute(w))
             brakes = brakes + hidden("load_imbalance", lambda moment: moment * f.sin(load_angle))
@@ -159,6 +152,7 @@ class Tanks(Rig):
     own_states = {"pump_lag": {"pump_lag.left": 5.0, "pump_lag.right": 5.0}}
     manoeuvres, rest_rows = ((0.0, 10.0, (8.0, 150.0)),) * 2, 5  # [V]
     pushes, correlation_time = (6e-5, 6e-5), 30.0
+    rest, moves = (0.3, 0.25), (0.08, 0.08)
     step, rows, horizon, preroll = 1.0, 1800, 40.0, 30.0
     substeps = 2
 
@@ -195,10 +189,7 @@ class Tanks(Rig):
             fall = left - right
             across = p["pipe"] * fall * (fall * fall + 1e-4) ** -0.25 + seep * fall
             surface = p["area_left"] * (1.0 + cone * (left - 0.3))
-            drawn = out(right) + draw
-            drawn = drawn + hidden(
-                "tapping_consumer", lambda flow, period, length: now_and_then(f, t, period, length, flow)
-            )
+            drawn = out(right) + draw + hidden("tapping_consumer", pulses(f, t))
             lost = hidden("left_leak", partial(drained, left)) + hidden("overflow", partial(spilt, left))
             lost = lost + hidden("backflow", lambda coefficient: drained(left, f.where(u[0] < 0.5, coefficient, 0.0)))
             tired = hidden("tiring_pump", lambda share, time: share * (1.0 - f.exp(-t / time)))
@@ -216,13 +207,9 @@ class Tanks(Rig):
 
     def drive(self, rng: Random) -> Array:
         """Return voltages of both pumps, corrected to keep nominal tanks half full."""
-        pumps = kept_level(self.exact_drive(rng), np.array([0.3, 0.25]), 0.45, 120.0, self.step)
+        pumps = kept_level(self.exact_drive(rng), np.array(self.rest), 0.45, 120.0, self.step)
         pumps[: self.rest_rows] = 5.0
         return rounded(pumps)
-
-    def begin(self, rng: Random) -> Array:
-        """Return start levels, half full or near."""
-        return np.array([0.3, 0.25]) + rng.choice([0.0, 1.0]) * rng.uniform(-0.08, 0.08, 2)
 
 
 class Cart(Rig):
@@ -270,6 +257,7 @@ class Cart(Rig):
     own_states = {"motor_lag": {"motor_lag.force": 0.0}}
     manoeuvres, rest_rows = ((-4.0, 4.0, (0.1, 2.5)),), 15  # [N]
     pushes, correlation_time = (8.0, 2.0), 1.0
+    moves = (0.5, 0.4, 0.15, 0.5)
     step, rows, horizon, preroll = 0.02, 2000, 2.0, 0.2
     substeps = 4
 
@@ -291,7 +279,7 @@ class Cart(Rig):
             force = force + uneven * f.absolute(force)
             slopes = [] if lag is None else [(force - x[4]) / f.maximum(lag, 0.005)]
             pull = force if lag is None else f.where(lag > 0.0, x[4], force)
-            blown = hidden("draught", lambda force, period, length: now_and_then(f, t, period, length, force))
+            blown = hidden("draught", pulses(f, t))
             along = pull + push[0] + push[1] - p["cart_friction"] * v + blown
             about = length * cos * push[1] - p["pivot_friction"] * w + length * cos * blown
             along = along - hidden("cart_coulomb", lambda level: level * f.tanh(v / 0.02))
@@ -301,8 +289,8 @@ class Cart(Rig):
                 "tight_zone", lambda coefficient, place, width: coefficient * v * bell(q - place, width)
             )
             along = along - hidden("cable_spring", lambda stiffness: stiffness * q)
-            along = along + hidden("belt_ripple", lambda sine, cosine: sine * f.sin(20.0 * math.pi * q))
-            along = along + hidden("belt_ripple", lambda sine, cosine: cosine * f.cos(20.0 * math.pi * q))
+            wave = 20.0 * math.pi * q
+            along = along + hidden("belt_ripple", lambda sine, cosine: sine * f.sin(wave) + cosine * f.cos(wave))
             about = about - hidden("pivot_coulomb", lambda level: level * f.tanh(w / 0.1))
             about = about - hidden("bob_drag", lambda coefficient: coefficient * w * f.absolute(w))
             about = about - hidden("magnet", lambda moment, width: moment * phi / width * bell(phi, width))
@@ -328,10 +316,6 @@ class Cart(Rig):
             force[k] = min(max(0.8 * force[k] - 1.5 * x, -4.0), 4.0)
             x, v = x + self.step * v, v + self.step * (force[k] - 2.0 * v) / 1.3
         return rounded(force[:, None])
-
-    def begin(self, rng: Random) -> Array:
-        """Return a start state at rest at 0, or moving."""
-        return moving(rng, 0.5, 0.4, 0.15, 0.5)
 
 
 class QuarterCar(Rig):
@@ -389,6 +373,7 @@ class QuarterCar(Rig):
     }
     manoeuvres, rest_rows = ((-0.03, 0.03, (0.06, 1.5)),), 20  # [m]
     pushes, correlation_time = (1080.0, 10800.0), 0.3
+    moves = (0.01, 0.1, 0.01, 0.1, 0.0)
     step, rows, horizon, preroll = 0.005, 3000, 1.0, 0.1
     substeps = 2
 
@@ -435,7 +420,3 @@ class QuarterCar(Rig):
             return [x[2] - x[0], (suspension + (load + rider) + push[0]) / p["body_mass"], x[0]]
 
         return rate, look
-
-    def begin(self, rng: Random) -> Array:
-        """Return a start state at rest, or bouncing."""
-        return moving(rng, 0.01, 0.1, 0.01, 0.1, 0.0)

@@ -7,9 +7,7 @@ scipy's DOP853, arrays hold many slightly different rigs at once for `field_cost
 # ruff: noqa: RUF012 - what a rig declares are attributes of its class
 from __future__ import annotations
 
-import argparse
 import math
-import sys
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, partial
@@ -67,6 +65,11 @@ def hidden_in(p: Flat) -> Callable[..., Any]:
     """Return (name, term) → the term of an effect for its parameters in `p`, else 0."""
     effects = grouped(p)
     return lambda name, term: term(**effects[name]) if name in effects else 0.0
+
+
+def pulses(f: Any, t: Any) -> Callable[..., Any]:
+    """Return a term that has the size of its effect for a length of each period, and is 0 between."""
+    return lambda period, length, **size: f.where(t % period < length, *size.values(), 0.0)
 
 
 @dataclass(frozen=True)
@@ -170,6 +173,10 @@ class Rig:
     # smallest, largest command, and shortest, longest hold [s] of each input; rows at rest at the beginning
     manoeuvres: tuple[tuple[float, float, tuple[float, float]], ...] = ()
     rest_rows: int = 0
+    rest: Sequence[float] = ()  # state at rest, by default 0
+    moves: tuple[
+        float, ...
+    ] = ()  # largest distance of each state from rest at the start of a log that begins in motion
 
     def bind(self, f: Any, p: Flat) -> tuple[Rate, Look]:
         """Return derivatives and outputs as functions, for parameters `p`; effects missing in `p` are absent.
@@ -192,7 +199,8 @@ class Rig:
 
     def begin(self, rng: Random) -> Array:
         """Return the start state of a log, with probability ½ at rest."""
-        raise NotImplementedError
+        still = np.array(self.rest) if len(self.rest) else np.zeros(len(self.moves))
+        return still + rng.choice([0.0, 1.0]) * rng.uniform(-1.0, 1.0, len(self.moves)) * self.moves
 
     def course(
         self, p: Mapping[str, float], run: Run, resets: Mapping[int, Array] | None = None, tolerance: float = 1e-8
@@ -406,11 +414,6 @@ def kept_level(pumps: Array, levels: Array, high: float, pull: float, step: floa
     return pumps
 
 
-def moving(rng: Random, *widths: float) -> Array:
-    """Return a start at rest with probability ½, else uniform within ±`widths`."""
-    return rng.choice([0.0, 1.0]) * rng.uniform(-1.0, 1.0, len(widths)) * widths
-
-
 def rounded(values: Array) -> Array:
     """Return values with six digits, so that logged and sent commands are equal."""
     return np.vectorize(lambda v: float(f"{v:.6g}"))(values)
@@ -434,14 +437,3 @@ def csv(names: Sequence[str], *columns: tuple[str, Array]) -> str:
     """Return a log: groups of columns with their format; missing cells are empty."""
     cells = [["" if math.isnan(v) else format(v, how) for v in column] for how, x in columns for column in x.T.tolist()]
     return "\n".join(map(",".join, [names, *zip(*cells, strict=True)])) + "\n"
-
-
-def show(module: str, draw: Callable[[int], Any], write: Callable[..., Path], answer: Callable[..., str]) -> None:
-    """Write the study of a seed to a folder, both from the command line, and print its answer."""
-    parser = argparse.ArgumentParser(prog=f"python -m tests.blind.{module}", description="One study to look at.")
-    parser.add_argument("seed", type=int)
-    parser.add_argument("folder", type=Path)
-    options = parser.parse_args()
-    study = draw(options.seed)
-    print(write(study, options.folder), file=sys.stderr)
-    print(answer(study), end="")

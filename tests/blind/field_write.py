@@ -1,7 +1,5 @@
 """Files of a study of the field half: study.yaml, the plant's model file, two estimation logs and a sealed log.
 
-    python -m tests.blind.field_write 3 /tmp/study      seed and folder; prints the answer
-
 The answer contains `error_true`, the root mean square error of the true model on the sealed log by channel.
 """
 
@@ -17,8 +15,8 @@ from typing import Any
 import numpy as np
 
 from tests.blind.field_craft import CraftRig, craft, replay_craft
-from tests.blind.field_rig import LOGS, Array, Course, Run, csv, show, write_study
-from tests.blind.field_study import Study, course, draw, noise, rows_to_keep, stream, undisturbed
+from tests.blind.field_rig import LOGS, Array, Course, Run, csv, write_study
+from tests.blind.field_study import Study, course, noise, rows_to_keep, stream, undisturbed
 
 PLANTS = Path(__file__).with_name("plants")
 SKIPPED = 2.0  # [s] of rows of 50 ms and faster that are not judged at the start of a log; longer where rows are slower
@@ -82,7 +80,3 @@ def answer(study: Study, **more: Any) -> str:
     if study.half == "mixed":
         told["strangers"] = sorted(set(study.truth) & set(study.rig.outside))
     return json.dumps(told | more, indent=1) + "\n"
-
-
-if __name__ == "__main__":
-    show("field_write", draw, write, answer)

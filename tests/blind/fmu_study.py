@@ -1,7 +1,5 @@
 """Studies of the FMUs' suite, drawn by seed: plant, way, version of FMI, kind, effects, sizes, base parameters.
 
-    python -m tests.blind.fmu_study 3 /tmp/study      seed and folder; prints the answer
-
 Six plants alternate; over 24 consecutive seeds each is drawn with both ways and both versions. Of 20 consecutive seeds
 12 hide one or two effects of the catalogue, 5 nothing, 3 an effect outside of it. An effect of usual size costs 500 to
 5000 nats (`field_cost`); half of the known studies have a fifth of that size instead, which costs 20 nats at least.
@@ -14,7 +12,7 @@ from pathlib import Path
 
 from tests.blind import field_study, field_write
 from tests.blind.field_recorder import Recorder
-from tests.blind.field_rig import Entry, Rig, base_numbers, show, write_study
+from tests.blind.field_rig import Entry, Rig, base_numbers, write_study
 from tests.blind.field_study import Deal, Study, card, costing, hidden, sized, stream
 from tests.blind.fmu_build import PLANTS as DECLARED
 from tests.blind.fmu_build import WAYS, build, build_slave
@@ -128,7 +126,3 @@ def claimed(study: FmuStudy) -> dict[str, dict[str, float]]:
 def answer(study: FmuStudy) -> str:
     """Return the answer as JSON, to be opened after the verdict."""
     return field_write.answer(study, truth=claimed(study), physical=study.truth)
-
-
-if __name__ == "__main__":
-    show("fmu_study", draw, write, answer)

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from tests.blind.field_rig import Array, Entry, Flat, Random, Rate, kept_level, moving, rounded
+from tests.blind.field_rig import Array, Entry, Flat, Random, Rate, kept_level, pulses, rounded
 from tests.blind.fmu_rig import CoSimulation, FmuRig, Input, ModelExchange, Output, Pair, Storage
 
 LAGS = "lag second_order_lag rate_limit"
@@ -47,8 +47,7 @@ class Drive(FmuRig):
         def rate(t: float, x: Any, u: Any, push: Any) -> list[Any]:
             a, wa, b, wb = x[:4]
             through = p["shaft_c"] * (a - b) + p["shaft_d"] * (wa - wb)
-            brake = hidden("brake", lambda level, period, length: f.where(t % period < length, level, 0.0))
-            slows = 0.03 * wb + acts("load_w", b, wb) + brake * f.tanh(wb / 0.3)
+            slows = 0.03 * wb + acts("load_w", b, wb) + hidden("brake", pulses(f, t)) * f.tanh(wb / 0.3)
             from_motor = u[0] + push[0] - p["motor_b"] * wa - acts("motor_w", a, wa)
             return [wa, (from_motor - through) / p["motor_J"], wb, (through + push[1] - slows) / p["load_J"]]
 
@@ -120,6 +119,7 @@ class Tanks(FmuRig):
         "cone": Entry("slope", 0.2, 5e-3, 1.8),
         "tap": Entry("flow", 3e-6, 1e-7, 4e-5, shape={"period": (250.0, 400.0), "length": (60.0, 120.0)}),
     }
+    moves = (0.06, 0.06)
     pushes, correlation_time = (6e-5, 6e-5), 30.0
     step, rows, horizon = 1.0, 1800, 40.0
     substeps = 1
@@ -132,8 +132,8 @@ class Tanks(FmuRig):
 
         def rate(t: float, x: Any, u: Any, push: Any) -> list[Any]:
             left, right = x[0], x[1]
-            pipe, out = orifice(p["pipe_k"], left - right), orifice(p["outlet_k"], right)
-            out = out + hidden("tap", lambda flow, period, length: f.where(t % period < length, flow, 0.0))
+            pipe = orifice(p["pipe_k"], left - right)
+            out = orifice(p["outlet_k"], right) + hidden("tap", pulses(f, t))
             area = p["left_area"] * (1.0 + hidden("cone", lambda slope: slope * (left - 0.3)))
             return [
                 (p["gain_left"] * u[0] + push[0] - pipe) / area - acts("left_h", left),
@@ -147,10 +147,6 @@ class Tanks(FmuRig):
         pumps = kept_level(super().drive(rng), np.array(self.rest), 0.42, 100.0, self.step)
         pumps[: self.rest_rows] = 5.0
         return rounded(pumps)
-
-    def begin(self, rng: Random) -> Array:
-        """Return start levels, half full or near."""
-        return np.array(self.rest) + rng.choice([0.0, 1.0]) * rng.uniform(-0.06, 0.06, 2)
 
 
 class HeatedBox(FmuRig):
@@ -180,8 +176,7 @@ class HeatedBox(FmuRig):
         def rate(t: float, x: Any, u: Any, push: Any) -> list[Any]:
             hot, air = x[0], x[1]
             given = p["G_heater"] * (1.0 + hidden("radiation", lambda share: share * (hot - air) / 30.0)) * (hot - air)
-            door = hidden("door", lambda conductance, period, length: f.where(t % period < length, conductance, 0.0))
-            lost = (p["G_wall"] + door) * (air - u[1])
+            lost = (p["G_wall"] + hidden("door", pulses(f, t))) * (air - u[1])
             return [(p["power"] * u[0] + push[0] - given) / p["C_heater"], (given + push[1] - lost) / p["C_air"]]
 
         return rate
@@ -209,6 +204,7 @@ class Pendulum(FmuRig):
     strangers = {
         "magnet": Entry("force", 0.1, 2e-3, 2.0, shape={"place": (-0.5, 0.5), "width": (0.1, 0.2)}),
     }
+    moves = (0.4, 0.5, 0.4, 1.5)
     pushes, correlation_time = (4.0, 1.0), 1.0
     step, rows, horizon = 0.02, 2000, 2.0
     substeps = 2
@@ -235,10 +231,6 @@ class Pendulum(FmuRig):
 
         return rate
 
-    def begin(self, rng: Random) -> Array:
-        """Return a start at rest, or swinging."""
-        return moving(rng, 0.4, 0.5, 0.4, 1.5)
-
 
 class Cylinder(FmuRig):
     """Hydraulic cylinder with a valve, against a spring and a measured force."""
@@ -259,6 +251,7 @@ class Cylinder(FmuRig):
         "p_b": Output(3, 5e3, 1e6, "bias scale lag drift"),
     }
     strangers = {"foam": Entry("share", 0.05, 2e-3, 0.9)}
+    moves = (0.01, 0.1, 1e5, 1e5)
     pushes, correlation_time = (1500.0,), 0.3
     step, rows, horizon = 0.005, 2000, 0.5
     substeps = 4
@@ -286,10 +279,6 @@ class Cylinder(FmuRig):
             ]
 
         return rate
-
-    def begin(self, rng: Random) -> Array:
-        """Return a start at rest, or moving."""
-        return np.array(self.rest) + moving(rng, 0.01, 0.1, 1e5, 1e5)
 
 
 CLASSES: tuple[type[FmuRig], ...] = (Drive, DcMotor, Tanks, HeatedBox, Pendulum, Cylinder)

@@ -97,23 +97,24 @@ def invent(suite: str, seed: int, folder: Path) -> tuple[Path, str]:
     return module.write(study, folder), module.answer(study)
 
 
-def conduct(suite: str, seed: int, refiner: Refiner, folder: Path) -> tuple[Line, Line]:
-    """Draw and refine a study in a folder; return its answer and its line.
+def conduct(suite: str, seed: int, refiner: Refiner) -> tuple[Line, Line]:
+    """Draw and refine a study; return its answer and its line.
 
     The refiner sees a folder with study.yaml and logs, and not the answer.
     """
-    study, answer = invent(suite, seed, folder / "study")
-    told, out = json.loads(answer), folder / "out"
-    out.mkdir()
-    begin, used = time.perf_counter(), _processor_seconds()
-    try:
-        refiner(study, out)
-        line = line_of(suite, told, json.loads((out / "refine.json").read_text()))
-        score.excess_left(line)  # what cannot be counted is found here, not after two hundred studies
-    except StudyFailed as e:
-        line = line_of(suite, told, {"verdict": "failed", "failure": str(e)})
-    except (OSError, KeyError, TypeError, ValueError, AttributeError) as e:
-        line = line_of(suite, told, {"verdict": "failed", "failure": f"refine.json: {type(e).__name__}: {e}"})
+    with tempfile.TemporaryDirectory(prefix="blind-") as folder:
+        study, answer = invent(suite, seed, Path(folder) / "study")
+        told, out = json.loads(answer), Path(folder) / "out"
+        out.mkdir()
+        begin, used = time.perf_counter(), _processor_seconds()
+        try:
+            refiner(study, out)
+            line = line_of(suite, told, json.loads((out / "refine.json").read_text()))
+            score.excess_left(line)  # what cannot be counted is found here, not after two hundred studies
+        except StudyFailed as e:
+            line = line_of(suite, told, {"verdict": "failed", "failure": str(e)})
+        except (OSError, KeyError, TypeError, ValueError, AttributeError) as e:
+            line = line_of(suite, told, {"verdict": "failed", "failure": f"refine.json: {type(e).__name__}: {e}"})
     line["seconds"] = round(time.perf_counter() - begin, 2)
     return told, line | {"processor_seconds": round(_processor_seconds() - used, 1)}
 
@@ -230,8 +231,7 @@ def known_names(suite: str) -> set[str]:
 
 def conduct_here(suite: str, seed: int, refiner: Refiner, of_revision: str) -> Line:
     """Return the line of a study, with all of its answer."""
-    with tempfile.TemporaryDirectory() as folder:
-        told, line = conduct(suite, seed, refiner, Path(folder))
+    told, line = conduct(suite, seed, refiner)
     return {"study": f"{seed:05d}", "revision": of_revision} | told | line
 
 

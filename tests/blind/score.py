@@ -309,9 +309,5 @@ def table(suite: str, lines: Sequence[Line]) -> str:
     for name, words in sorted(rows.items()):
         cells = "  ".join(f"{words.count(c) or '·':>{len(c)}}" for c in OUTCOMES)
         text.append(f"{name:48} {len(words):3d}  {cells}")
-    return "\n".join([*text, "", *figures(counts(suite, lines))])
-
-
-def figures(counted: Counts) -> list[str]:
-    """Return a line of text for each figure."""
-    return [f"{name:25}{share_text(hits, of)}" for name, (hits, of) in counted.items()]
+    figures = [f"{name:25}{share_text(*pair)}" for name, pair in counts(suite, lines).items()]
+    return "\n".join([*text, "", *figures])

@@ -49,11 +49,11 @@ class ComponentPage:
     """Sections on some components, which are added to the page of a run.
 
     Attributes:
-        template: Template that extends run.html.j2.
-        values: Values for the template, in addition to those of every page.
-        tiles: Key figures at the top of the page.
-        shown: Columns that these sections show; the section on signals omits them.
-        data: Data for the page's script.
+        template: Extends run.html.j2.
+        values: Values of the template besides the values of every page.
+        tiles: Key figures, by default those of the criteria.
+        shown: Columns in these sections, omitted from the signals.
+        data: Data of the script.
     """
 
     template: Path

@@ -75,7 +75,7 @@ def _page(run: Run) -> str:
         tiles.append(Row(c["title"], c["value"], f"{'met' if c['met'] else 'missed'}{allowed}"))
     entry = registry.page_for(run.variables.values())
     page: ComponentPage | None = registry.resolve(entry.subject)(run, drawing) if entry else None
-    page = page or ComponentPage(TEMPLATE, tiles=tiles)
+    page = page or ComponentPage(TEMPLATE)
     connected, shown = connections(run), page.shown
     judged = judged_panels(run) if has_rows and not shown else []
     links = connection_panels(run, connected, shown) if has_rows else {}
@@ -90,7 +90,7 @@ def _page(run: Run) -> str:
         "outcome": outcome(run, goals),
         "tone": "bad" if run.has_failed or not all(c["met"] for c in goals) else "good" if goals else "plain",
         "badges": badges(run, goals),
-        "tiles": page.tiles,
+        "tiles": page.tiles or tiles,
         "judged": drawing.plots(judged),
         "links": drawing.plots(list(links.values())),
         "others": drawing.plots(others),

@@ -24,10 +24,6 @@ from cosim.model import (
 CREEP = 0.02  # [rad/s] below which dry friction is smoothed
 SENSOR_VARIANCE = {"angle_1": 8.3e-10, "angle_2": 8.3e-10}
 START_VARIANCE = {"angle_1": 0.01, "angle_2": 0.01, "rate_1": 0.04, "rate_2": 0.04}
-TOLD_APART_BY = {
-    frozenset({"coulomb_1", "drag_1"}): "slow and fast motions of joint 1 with reversals",
-    frozenset({"coulomb_2", "drag_2"}): "slow and fast motions of joint 2 with reversals",
-}
 
 
 CATALOGUE = (
@@ -71,7 +67,6 @@ class Arm(Model):
     calibrated = (
         "inertia_1", "inertia_2", "coupling", "gravity_1", "gravity_2", "rotor_2", "viscous_1", "viscous_2",
     )  # fmt: skip
-    told_apart_by = TOLD_APART_BY
     rate, substep, horizon = 0.005, 0.0025, 0.3
 
     inertia_1: float = parameter(0.12, unit="kg.m2", bounds=(0.01, 2), tolerance=0.15, doc="inertia a")

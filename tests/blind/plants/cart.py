@@ -28,10 +28,6 @@ from cosim.model import (
 NOTCHES = 6.283185307179586 / 0.1  # [rad/m] notches of the belt, 0.1 m apart
 SENSOR_VARIANCE = {"position": 4e-6, "angle": 2.5e-5, "rate": 2.5e-3}
 START_VARIANCE = {"position": 1.0, "velocity": 0.25, "angle": 0.04, "rate": 0.25}
-TOLD_APART_BY = {
-    frozenset({"cart_coulomb", "cart_drag", "force_dead_band"}): "several speeds, slow ones among them, with reversals",
-    frozenset({"pivot_coulomb", "bob_drag"}): "swings from large to small, left to decay",
-}
 
 
 CATALOGUE = (
@@ -92,7 +88,6 @@ class Cart(Model):
     sensor_variance, start_variance = SENSOR_VARIANCE, START_VARIANCE
     forced = ("velocity", "rate")
     calibrated = ("cart_mass", "bob_mass", "length", "cart_friction", "pivot_friction")
-    told_apart_by = TOLD_APART_BY
     rate, substep, horizon = 0.02, 0.005, 2.0
 
     cart_mass: float = parameter(1.0, unit="kg", bounds=(0.05, 50), tolerance=0.05, doc="mass of cart and motor")

@@ -30,10 +30,6 @@ REVERSAL = 0.3  # [rad/s] below which dry friction is smoothed; the motor turns 
 TEETH = 4  # notches of the motor a turn
 SENSOR_VARIANCE = {"motor_angle": 1e-4, "motor_speed": 0.25, "load_angle": 1e-4}
 START_VARIANCE = {"motor_angle": 1.0, "motor_speed": 25.0, "load_angle": 1.0, "load_speed": 25.0}
-TOLD_APART_BY = {
-    frozenset({"load_coulomb", "load_stribeck", "fan_drag"}): "several speeds, and reversals at rest",
-    frozenset({"cubic_belt", "belt_play"}): "torques from small to full range, with the load held back by its inertia",
-}
 CATALOGUE = (
     Delay.named(
         "command_delay", memory=(Quantity("torque", "N.m", "torque that acts until the delay has passed"),)
@@ -93,7 +89,6 @@ class DriveTrain(Model):
     sensor_variance, start_variance = SENSOR_VARIANCE, START_VARIANCE
     forced = ("motor_speed", "load_speed")
     calibrated = ("motor_inertia", "load_inertia", "stiffness", "motor_damping", "load_damping")
-    told_apart_by = TOLD_APART_BY
     rate, substep, horizon = 0.005, 0.00125, 0.5
 
     motor_inertia: float = parameter(

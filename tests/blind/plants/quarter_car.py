@@ -34,10 +34,6 @@ START_VARIANCE = {
     "wheel_speed": 0.01,
     "table_height": 1e-4,
 }
-TOLD_APART_BY = {
-    frozenset({"damper_coulomb", "damper_asymmetry", "damper_progression"}): "slow and fast strokes of the damper",
-    frozenset({"cubic_spring", "bump_stop"}): "long strokes both ways, slow ones among them",
-}
 
 
 def bump_stop(e: LocalEffect, m: Namespace, force: Number, travel: Number) -> Number:
@@ -119,7 +115,6 @@ class QuarterCar(Model):
     sensor_variance, start_variance = SENSOR_VARIANCE, START_VARIANCE
     forced = ("body_speed", "wheel_speed")
     calibrated = ("body_mass", "wheel_mass", "spring", "damping", "tyre", "table_lag")
-    told_apart_by = TOLD_APART_BY
     rate, substep, horizon = 0.005, 0.00125, 1.0
 
     body_mass: float = parameter(300.0, unit="kg", bounds=(10, 5000), tolerance=0.05, doc="mass of the body, weighed")

@@ -27,10 +27,6 @@ USUAL = 5.0  # [V] at which the pumps were measured
 DEEP = 0.25  # [m] at which the outlet was measured
 SENSOR_VARIANCE = {"level_left": 4e-6, "level_right": 4e-6, "outflow": 1e-12}
 START_VARIANCE = {"level_left": 0.01, "level_right": 0.01}
-TOLD_APART_BY = {
-    frozenset({"left_leak", "constant_draw", "cross_flow", "overflow"}): "levels from shallow to full, in both tanks",
-    frozenset({"pump_dead_band", "pump_curve", "head_loss"}): "both pumps at several voltages, and off",
-}
 
 
 def overflow(e: LocalEffect, m: Namespace, flow: Number, left: Number, right: Number) -> Number:
@@ -117,7 +113,6 @@ class Tanks(Model):
     sensor_variance, start_variance = SENSOR_VARIANCE, START_VARIANCE
     forced = ("level_left", "level_right")
     calibrated = ("area_left", "area_right", "pipe", "outlet", "gain_left", "gain_right")
-    told_apart_by = TOLD_APART_BY
     rate, substep, horizon = 1.0, 0.25, 40.0
 
     area_left: float = parameter(0.02, unit="m2", bounds=(1e-3, 1), tolerance=0.03, doc="surface of the left tank")
