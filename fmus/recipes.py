@@ -11,7 +11,7 @@ from controller.settings import Settings
 from cosim.core.registry import resolve
 from cosim.fmi.fmu_build import Recipe, model_recipe
 from cosim.fmi.model_description import Description, docstrings_html
-from fmus import PACKAGES
+from fmus import FMU_PACKAGES
 
 # A second plant for scenarios/swap.yaml: a heavier craft whose servos overshoot (observed in §4.5.4).
 HEAVY = {
@@ -26,7 +26,7 @@ def _model(place: str, values: Mapping[str, float | bool] | None = None) -> Reci
     """Return the recipe of a model's FMU, with defaults from `values`; `place` is `module:class` in `plant`."""
     module = resolve(f"plant.{place.partition(':')[0]}")
     model = resolve(f"plant.{place}")()
-    return replace(model_recipe(model, Path(module.__file__), values), packages=PACKAGES)
+    return replace(model_recipe(model, Path(module.__file__), values), packages=FMU_PACKAGES)
 
 
 plant_recipe = partial(_model, "hovercraft:Hovercraft")
@@ -42,7 +42,7 @@ def _sampled(name: str) -> Recipe:
         kind.about, kind.ports, at_sample, at_start, step=step, stop=10.0, variable_step=False, sampled="sample_time"
     )
     parts = (resolve(f"controller.{part}") for part in kind.parts)
-    recipe = Recipe((kind.__module__, name), PACKAGES, description, docstrings_html(*parts, kind))
+    recipe = Recipe((kind.__module__, name), FMU_PACKAGES, description, docstrings_html(*parts, kind))
     return replace(recipe, printed=(("controller.printed", jacobians()),)) if kind.needs_jacobians else recipe
 
 
