@@ -240,8 +240,8 @@ def ask(
     if not model.base_states:
         raise InputError.at(
             path,
-            f"{model.title} has no states, so an input over time adds no information; `told_apart_by` of the model "
-            "describes measurements that separate its rivals",
+            f"{model.title} has no states: its outputs depend only on the present inputs, so no input signal can be "
+            "designed; log more values of the inputs",
         )
     reaches, spans = limits_and_ranges(model, limits, ranges, question.ranges, faults)
     outputs = [q.name for q in model.outputs]

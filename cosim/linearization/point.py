@@ -166,7 +166,10 @@ def points_along(
     else:
         values = _columns(results, name, source.states)
         if names := ", ".join(np.array(source.states)[np.isnan(values).all(axis=0)]):
-            raise InputError.at(AT_OPTION, f"{name} of {scenario} does not record {names}")
+            raise InputError.at(
+                AT_OPTION,
+                f"the run of {scenario} has no values of {name}: {names}; give its operating point as NAME=VALUE",
+            )
     return source, [Point(float(time[k]), values[k], inputs[k]) for k in rows], notes
 
 

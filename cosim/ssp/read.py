@@ -618,7 +618,7 @@ class SspSystem(Reader):
         part.start[end[1]] = value, parameter.element
 
     def names(self, place: Place) -> Iterator[str]:
-        """Yield the hierarchical names at a place."""
+        """Yield the names of all variables in an element of the system, relative to it, such as `motor.speed`."""
         if place in self.parts:
             yield from self.parts[place].variables
         for element in self.inner[place]:

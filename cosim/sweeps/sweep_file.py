@@ -75,7 +75,9 @@ class Varied(Part):
         if len(ways) != 1:
             raise ValueError(f"it has {' and '.join(ways) or 'no variation'}; give one of {', '.join(VARIATION_KEYS)}")
         if self.within is not None and self.normal is None:
-            raise ValueError("within limits a normal distribution; give normal, or remove within")
+            raise ValueError(
+                "`within` only truncates a normal distribution; add `normal: [mean, deviation]`, or remove `within`"
+            )
         return self
 
     @property

@@ -284,13 +284,13 @@ def build_command(*, valid_output: Path | None = None, json: bool = False, **giv
 
 
 def export_ssp_command(*, json: bool = False, **given: Any) -> None:
-    """Write a scenario as an SSP 1.0 for other simulators.
+    """Write a scenario as an SSP 1.0 file for other simulators.
 
-    Noise is off; references become FMUs.
+    Noise is left out. References and recordings become FMUs in C, which requires a C compiler.
 
     Args:
         path (--out -o PATH): SSP file (default: NAME.ssp in the current folder).
-        overrides (--set PATH=VALUE): Replace a value of the scenario, for example noise=off.
+        overrides (--set PATH=VALUE): Replace a value of the scenario, for example duration=10.
 
     Example: cosim export-ssp scenario.yaml --out system.ssp
     """

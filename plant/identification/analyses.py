@@ -281,9 +281,10 @@ def ground_effect_exponent(m: Measurement) -> Result:
     for chosen in others:
         run = next(iter(chosen.values()))[0]
         duty = float(np.median(run.duty[run.rows(m.test.window)]))
-        if main.keys() - chosen.keys():
+        if missing := sorted(main.keys() - chosen.keys()):
             result.warnings.append(
-                f"the runs at {duty:.4g} % are not used, because some heights have none; correct the duty"
+                f"the runs at a duty of {duty:.4g} % are not used, because there is none at the heights "
+                f"{', '.join(f'{height:g}' for height in missing)}; correct the duty if it is wrong"
             )
             continue
         f = forces(lambda r: m.force(r, "z"), chosen)

@@ -73,7 +73,7 @@ class DistanceFile(Part):
 
 
 class CraftFile(Part):
-    """Identification from logs of a craft."""
+    """A file for identification from logs of a craft: model, logs at rest, logs over a known distance."""
 
     schema_version: Literal[1] = 1
     name: str

@@ -283,7 +283,7 @@ class ProtocolFile(Part):
 
 @dataclass(frozen=True)
 class Protocol:
-    """A protocol and its bench; for a simulated bench, the parameters are exact."""
+    """A protocol, and the bench with its parameters; those of a simulated bench are the true values."""
 
     yaml: YamlFile
     file: ProtocolFile

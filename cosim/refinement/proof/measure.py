@@ -394,7 +394,10 @@ def is_significant_rise(rises: Sequence[float], chance: float) -> bool:
 
 
 def remaining_on_sealed_logs(before: ReplayedLogs, after: ReplayedLogs, floor: NamedValues) -> dict[str, float]:
-    """Return channel → share of the excess error before that remains after, for channels with excess error."""
+    """Return channel → share of the excess error of the replays `before` that remains in the replays `after`.
+
+    The excess error is the RMSE above the noise `floor`; channels without it are omitted.
+    """
     old, new = rmse(before), rmse(after)
     shares = {n: remaining_excess(old[n], new[n], f) for n, f in floor.items() if n in old and n in new}
     return {n: max(0.0, share) for n, share in shares.items() if math.isfinite(share)}
