@@ -28,7 +28,12 @@ MAKERS = {"GLIBC": "glibc", "GLIBCXX": "libstdc++", "CXXABI": "libstdc++", "GCC"
 
 
 def load_error(library: Path, error: Exception, *, hidden: bool = False) -> str:
-    """Return one line with the reason why a library does not load, and the cure."""
+    """Return one line with the reason why a library does not load, and the cure.
+
+    Args:
+        hidden: True if equally named code of the process may be the reason; no other cure is then given for a missing
+            or too old version or symbol.
+    """
     text = " ".join(str(error).split())
     text = text.removeprefix(f"Failed to load shared library {library}. ")  # FMPy's prefix
     text = re.sub(rf"{re.escape(str(library.parent))}/?", "", text)

@@ -89,7 +89,7 @@ class SourceBlock(Component):
     def slot(self, cells: Any) -> Slot | str:
         """Return the C loop's slot with precomputed values, or the reason why there is none."""
         if self.exact_functions:
-            return f"{self.name} has integers that doubles cannot represent"
+            return f"{self.name} has values that doubles cannot represent"
         slot = Slot(0, time=self._t, scalars=len(self.outputs))
         slot.row = ctypes.addressof(self._row) + 8 * self._first
         return slot

@@ -151,7 +151,7 @@ class FmuVariables(Component):
     # -- all values --------------------------------------------------------------------------
 
     def put(self) -> None:
-        """Set the inputs of the FMU; in model exchange, only changed ones."""
+        """Set the inputs of the FMU; in model exchange, only if one of them has changed."""
         if self.watched is None:
             self.put_all()
             return

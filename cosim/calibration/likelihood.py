@@ -178,7 +178,7 @@ class Likelihood:
 
         Args:
             kept: True for each unknown that remains.
-            at: Value of the fixed unknowns; None for their best values.
+            at: Value of the fixed unknowns; None for their best values, with which the result starts at the best point.
         """
         pairs = [*zip(self.unknowns, self.best.x, kept, strict=True)]
         held = {u.name: float(v) if at is None else at for u, v, k in pairs if not k and u.log is None}

@@ -323,7 +323,7 @@ def _replay(drive: Drive, horizon: float) -> Replay:
 def _tracks(
     drives: Sequence[Drive], spans: Mapping[float, float], inside: Sequence[Flags] = ()
 ) -> dict[float, list[Track]]:
-    """Return end of interval → track (replay errors) of each log on which the FMU does not fail."""
+    """Return end of interval → track (replay errors) of each log with these replays, on which the FMU does not fail."""
     tracks: dict[float, list[Track]] = {end: [] for end in spans}
     for k, drive in enumerate(drives):
         log = drive.log

@@ -325,7 +325,7 @@ def _fitted_rival(
     candidates: Mapping[str, Candidate],
     values: Mapping[str, float],
 ) -> Rival:
-    """Return a rival with the parameters of its best significant fit without other candidates, if there is one.
+    """Return a rival with the parameters of its best significant fit without other rivals, if there is one.
 
     A fit without significance is often close to the neutral value, at which no input separates the rival.
     """

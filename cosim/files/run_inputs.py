@@ -60,7 +60,7 @@ def changes_between(before: Mapping[str, Any], after: Mapping[str, Any]) -> dict
 
 
 def differing_inputs(records: Sequence[Mapping[str, Any]]) -> list[DifferingInput]:
-    """Return the inputs that differ between recorded runs, in the order of KINDS.
+    """Return the inputs that differ between recorded runs, in the order of INPUT_KINDS.
 
     Runs without a record, for example tables of other tools, have no inputs and are not compared.
     """

@@ -30,7 +30,7 @@ def keep(module: dict[str, Any], names: Mapping[str, Any]) -> None:
     """
     if names is not module:  # true at an instantiation, false at the import
         ctypes.pythonapi.Py_IncRef(ctypes.py_object(module))
-        # If the library itself has started the interpreter, it also ends the interpreter: nothing to do.
+        # An interpreter that the library itself has started has no command line; the library also ends it.
         if sys.orig_argv:
             # The library has inserted its resources first in sys.path; the module may be from another extraction.
             let_go_at_exit(Path(sys.path[0]).parent)

@@ -159,7 +159,8 @@ def _read(requests: BinaryIO, jobs: queue.SimpleQueue[bytes], scratch: Path) -> 
     except OSError:
         os._exit(STREAMS_LOST)
     abandoned.set()  # Removal takes a while, during which another command may use the same folders.
-    with suppress(OSError, ValueError):  # The caller lists its folders in a file.
+    # The caller lists its folders in a file, since a job that names them may not have begun.
+    with suppress(OSError, ValueError):
         for line in filter(None, (scratch / ALONG).read_text(encoding="utf-8").split("\0")):
             remove(Path(line))
     remove(scratch)

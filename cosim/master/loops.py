@@ -527,7 +527,7 @@ class LoopSolver:
         can_repeat = isinstance(fmu, FmuBlock) and fmu.rolls_back
         member.repeats = can_repeat and bool(missing.any() or is_silent)
         if not (is_declared or has_reacted):
-            member.late = f"{name} responds to inputs only after a step, and declares no direct feedthrough"
+            member.late = f"{name} neither declares nor shows direct feedthrough"
             self._is_warned = True
             return [
                 f"{name} neither declares nor shows direct feedthrough in the algebraic loop {self.name}; its outputs "

@@ -268,8 +268,8 @@ def simulate_rows(
         keeps: True if a checkpoint is written when the run is stopped.
 
     Returns:
-        Messages of the FMUs, the error if any, the time of the last row [s] if it is not a communication point, and
-        fields of the results in addition to the rows.
+        Messages of the FMUs, the error if any, the time of the last row [s] (None without rows), and fields of the
+        results in addition to the rows.
     """
     here.hold_if_abandoned()
     progress, place = here.progress, table.parent

@@ -70,7 +70,7 @@ def co_simulation_structure(prober: Prober, courses: Sequence[Course]) -> Struct
     tried = short.first(max(MIN_PARAMETER_ROWS, ALL_PARAMETERS_ROWS // count))
 
     def react(fmu: Fmu) -> tuple[Array, Array]:
-        """Return the outputs after initialization, and in all rows."""
+        """Return the outputs after initialization, and in all later rows."""
         table, stop = prober.call(outputs_along, fmu, tried)
         if not len(table):
             raise stop

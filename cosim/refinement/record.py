@@ -424,7 +424,7 @@ def _rungs(ladder: Sequence[tuple[Hypothesis | None, Array]]) -> list[RungEntry]
 
 
 def _reason(claims: Claims, h: Hypothesis, behind: float) -> str:
-    """Return `claimed`, `a rival: …` or the reason against a hypothesis.
+    """Return `claimed`, `rival, …` or the reason against a hypothesis.
 
     Args:
         behind: Log odds of the most probable hypothesis relative to this one.

@@ -211,7 +211,7 @@ def decimals_of(values: Array) -> int:
 
 
 def decimals_of_time(time: Array) -> int:
-    """Return the number of decimals with which times are stored: finer than 1/1000 of the least step and than 1 µs."""
+    """Return the number of decimals with which times are stored: enough for 1/1000 of the least step and for 1 µs."""
     steps = np.diff(time)
     steps = steps[steps > 0.0]
     digits = max(6, 3 - math.floor(math.log10(float(steps.min())))) if steps.size else 6

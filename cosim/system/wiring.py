@@ -381,7 +381,7 @@ def _check_faults(building: Building) -> None:
 
 
 def connection_warnings(building: Building) -> Iterator[str]:
-    """Yield a warning for each component with inputs that have neither a connection nor a value."""
+    """Yield a warning for each component with inputs that have neither a connection nor a value in the scenario."""
     driven = building.scenario.targets
     driven |= {target for event in building.scenario.events for target in event.set}
     for name, component in building.components.items():

@@ -197,7 +197,7 @@ class Check:
             return UnprintableModel(text, awake[0], "" if hook == "equations" else hook, DECIDED)
         if awake or not kinds or self.first_difference(kinds, code):
             return UnprintableModel(text, model, "equations", DECIDED)
-        # If the difference disappears while only one effect is dormant, this effect is at fault.
+        # An effect is at fault if the difference occurs with only this effect dormant.
         others = ((kind, tuple(k for k in kinds if k is not kind)) for kind in kinds)
         culprits = [kind for kind, rest in others if self.first_difference(rest, code)]
         owner, hook = (culprits[0], "") if len(culprits) == 1 else (model, "equations")

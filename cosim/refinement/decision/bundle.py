@@ -59,7 +59,8 @@ COMPARED = 5  # classes of which equivalences are sought
 def evidence(search: Search, h: Hypothesis) -> Evidence:
     """Return the evidence of a fitted hypothesis, from the cache if possible.
 
-    Noise levels are integrated out (Schur complement); a level at a limit is fixed.
+    Noise levels are integrated out (Schur complement). A level at a limit, beyond which the likelihood would increase,
+    is fixed.
     """
     known = search.evidences.get(h.key)
     if known is not None and known[0] is h:
@@ -568,7 +569,7 @@ def _exciting(problem: Problem, times: float, *, both_signs: bool) -> Data:
 
 
 def _outputs(problem: Problem, data: Data, values: NamedValues) -> Array:
-    """Return simulated readings without noise from the start of the first log, shape (rows, outputs), or NaN."""
+    """Return simulated readings without noise from the start of the first log (rows, outputs); NaN if the FMU fails."""
     lags = problem.in_rows(problem.lagging, values, 0)
     try:
         run = problem.simulate(values, 0, data=data)

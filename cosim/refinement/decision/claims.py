@@ -102,7 +102,7 @@ class Claims:
 
     @property
     def delivered(self) -> Hypothesis:
-        """Return the delivered hypothesis: nearest model, else claim, else recalibrated model."""
+        """Return the delivered hypothesis: claim, else nearest model, else recalibrated model."""
         return self.claimed or self.nearest or self.base
 
     @property
@@ -419,7 +419,7 @@ def claims_of(study: Study, search: Search, progress: Progress) -> Claims:
     models = (None, base, *sorted(every.values(), key=lambda h: len(h.names)))
     ladder = [(h, held_out_errors(search, h, base.fit)) for h in models]  # by fits to the other logs
     nearest = None
-    if decision.grade != "claimed":  # the most probable class with good predictions of held-out logs
+    if decision.grade != "claimed":  # the most probable class that predicts held-out logs no worse than the given model
         most = float(np.mean(ladder[0][1]))
         better = {h.key: h for h, error in ladder if h is not None and float(np.mean(error)) <= most}
         nearest = next((better[parts] for parts in decision.classes if parts in better), better.get(frozenset()))

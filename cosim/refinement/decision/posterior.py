@@ -222,7 +222,7 @@ def _log_inside(p: Parameter, mean: float, deviation: float) -> float:
 
 
 def _solve(matrix: Array, right: Array) -> Array:
-    """Return the solution of linear equations, scaled by the diagonal; or the least-squares solution."""
+    """Return the solution of linear equations, scaled by the diagonal; if singular, the least-squares solution."""
     scale = np.sqrt(np.clip(np.diag(matrix), 0.0, None))
     scale[scale == 0.0] = 1.0
     solution = np.linalg.lstsq(matrix / np.outer(scale, scale), (right.T / scale).T, rcond=1e-12)[0]

@@ -430,7 +430,7 @@ def _log_ratios(before: ReplayedLogs, after: ReplayedLogs, name: str) -> list[fl
 class Replays(BaseModel):
     """FMUs used for the replays.
 
-    why: reason why not a native FMU was used; empty if it was
+    why: reason why no native FMU was used; empty if one was used
     log: log that plant.fmu has replayed for comparison
     apart: relative difference of both replays of this log
     """
