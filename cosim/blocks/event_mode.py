@@ -522,7 +522,7 @@ class EventFmu(FmuBlock):
         self.instance.fmu.setIntervalDecimal((ctypes.c_uint * 1)(clock.reference), (ctypes.c_double * 1)(interval))
 
     def _checked(self, clock: Clock, interval: float) -> float:
-        """Return an interval [s] that is finite and above 0 (or 0 if not periodic); raise SimulationError for others."""
+        """Return an interval [s]; raise SimulationError unless it is finite and above 0, or 0 and not periodic."""
         if math.isfinite(interval) and (interval > 0.0 or (interval == 0.0 and clock.kind not in PERIODIC)):
             return interval
         message = f"its interval is {interval:g} s; it must be above 0 s for a periodic clock, at least 0 s for others"

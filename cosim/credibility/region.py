@@ -234,7 +234,7 @@ def _left_out_distances(points: Array, block: Rows, chosen: Rows) -> list[Array]
 
 
 def distances(region: Region, stretch: Stretch) -> Distances:
-    """Return the distance of signals from a region, at rows about a step apart (at most MOST_ROWS rows)."""
+    """Return the distance of signals from a region, at rows about a step apart (at most MAX_REGION_ROWS)."""
     from scipy.spatial import cKDTree
 
     ends = _sample_ends(stretch.time, region.step)

@@ -214,7 +214,7 @@ def lagged(time: Array, values: Array, constant: float, begin: float = math.nan)
     for last, k in pairwise(known):
         rows = constant / (time[k] - time[last])
         fades = math.exp(-1.0 / rows)
-        slope = rows * (values[k] - values[last])  # difference to the output that the reading approaches
+        slope = rows * (values[k] - values[last])  # by which the reading finally lags behind the output
         before = values[k] - slope + fades * (before - values[last] + slope)
         result[k] = before
     return result

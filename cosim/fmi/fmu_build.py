@@ -133,7 +133,7 @@ def _package(recipe: Recipe, class_name: str) -> tuple[str, dict[str, bytes]]:
     identity = recipe.slave, class_name, recipe.values, recipe.substep, recipe.integrator, recipe.starts
     tag = digest(sources, repr(identity).encode())[:12]
     package = f"{re.sub(r'(?<!^)(?=[A-Z])', '_', class_name).lower()}_{tag}"
-    # imports of cosim's packages, which become imports of the FMU's own package
+    # imports of cosim and of packages in the recipe, which become imports of the FMU's own package
     names = "|".join((FRAMEWORK, *recipe.packages))
     whole, replacement = rf"^(\s*)import (({names})(?:\.\w+)*)$", rf"\1import {package}.\2; from {package} import \3"
     members = {}

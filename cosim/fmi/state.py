@@ -3,10 +3,6 @@
 In the JSON of a Python FMU, "own" contains what determines the future: time, continuous state, and the memory of each
 shaping effect. A native FMU writes doubles instead, in the layout of `cosim/fmi/native/instance.c`: a delay's command
 history, then the memory of further effects.
-
-In the JSON of a Python FMU, "own" has everything that determines the future: time, continuous state, and the memory of
-each shaping effect. A native FMU writes doubles instead, in the layout of `cosim/fmi/native/instance.c`: a delay's
-command history, then the memory of further effects.
 """
 
 from __future__ import annotations

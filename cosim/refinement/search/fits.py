@@ -251,7 +251,7 @@ class Search:
 
     @property
     def near(self) -> float:
-        """Return the score difference that corresponds to `NEAR` nats."""
+        """Return the score difference that corresponds to FITTED_WITHIN_NATS."""
         return FITTED_WITHIN_NATS * self.problem.scatter
 
     def cost(self, parts: Sequence[Candidate]) -> float:
