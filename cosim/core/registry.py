@@ -42,7 +42,7 @@ class ModelEntry:
             values of `NAME.fmu`, if any.
         rig: Place of the class that runs experiments with the model.
         design: Place of the function behind `cosim build --design`. It takes a YAML file and a model, and returns
-            warnings and, by file name, designed start values for FMUs in `beside`. "" for a model without controller.
+            designed start values by file name, for FMUs in `beside`, and warnings. "" for a model without controller.
     """
 
     name: str

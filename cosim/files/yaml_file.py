@@ -191,7 +191,7 @@ class YamlFile:
         parts depend.
 
         Args:
-            remove: Function that removes the faulty parts. By default no top-level key can be removed.
+            remove: Function that removes the faulty parts. By default no known top-level key can be removed.
 
         Raises:
             InputError: A faulty part cannot be removed, or a faulty top-level key may affect the others.

@@ -77,7 +77,7 @@ def distribution(way: str, numbers: Sequence[float], within: Sequence[float] | N
 
 
 def drawn_rows(sampled: int, counted: bool, runs: int, sampling: Sampling) -> int:
-    """Return the number of drawn rows: `runs`, at most `runs` for saltelli, 1 without distributions."""
+    """Return the number of drawn rows: `runs`, at most `runs` for saltelli, 1 if nothing is drawn or counted."""
     if not sampled:
         return runs if counted else 1
     return runs if sampling != "saltelli" else saltelli_base(runs, sampled) * (sampled + 2)

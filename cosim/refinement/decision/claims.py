@@ -209,7 +209,7 @@ def _claim_texts(c: Claims, best: Hypothesis, subject: Subject) -> list[str]:
 
 
 def _estimate_text(best: Hypothesis, f: Free, subject: Subject) -> str:
-    """Return an estimate with its 95 % interval; without the interval if it is wider than the allowed range."""
+    """Return an estimate with its 95 % interval, or a text if the interval is wider than the allowed range."""
     name, value, half = f.name.rpartition(".")[2], best.fit.values[f.name], NORMAL_95 * best.fit.sigma(f.name)
     unit = written(subject.declared[f.name].unit)
     if half > f.high - f.low:
