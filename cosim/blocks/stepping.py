@@ -124,7 +124,7 @@ class Slot(ctypes.Structure):
 
 
 class Course(ctypes.Structure):
-    """Polynomial through the last `points` values of inputs, the newest first, for extrapolation."""
+    """Polynomial through the last `points` values of extrapolated or interpolated inputs, the newest first."""
 
     keeping: Any
 

@@ -167,7 +167,7 @@ class Model(Parametric):
     drawn_against: ClassVar[Mapping[str, tuple[str, ...]]] = {}  # effect or parameter → signals for plots
     measured: ClassVar[tuple[str, ...]] = ()  # outputs that logs usually have; default: outputs in `sensor_variance`
     excursion: ClassVar[Mapping[str, float]] = {}  # signal → allowed deviation from its start in an experiment
-    valid: ClassVar[tuple[Validity, ...]] = ()  # the model warns once per range
+    valid: ClassVar[tuple[Validity, ...]] = ()  # ranges of validity; the model warns once per range
     planar: ClassVar[PlanarFrame | None] = None  # signal names of a planar motion
     substep: ClassVar[float] = 0.005  # largest integration substep [s]
     integrator: ClassVar[str] = AUTO  # one of INTEGRATORS; "auto" is RK4, or the implicit method for a stiff model

@@ -50,7 +50,7 @@ ROUNDING_SHARE = 1e-9  # share of a channel's size
 START_VALUE_STEP = 1e-6  # change of a start value without known noise
 NEGLIGIBLE_ERROR_SHARE = 1e-4  # share of a channel's spread; a log without noise is matched to rounding
 Verdict = Literal["explained", "unexplained", "undecided"]
-FOLLOWS = 2.5  # multiple of the 95 % band (five standard errors) above which a correlation is not by chance
+FOLLOWS = 2.5  # multiple of the 95 % band beyond chance: five standard errors, because start errors are slow
 
 
 class ChannelFloor(NamedTuple):

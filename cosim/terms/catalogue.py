@@ -261,7 +261,7 @@ Overflow = RateTerm.named(  # loss above a limit
 
 INPUT_TERMS = (InputBias, InputGain, DeadBand, Saturation, SquareLaw, RateLimit, Play, InputLag, SecondOrderLag)
 FORCES = (Coulomb, Stribeck, Viscous, QuadraticDrag, CubicSpring, Cogging)
-OF_SPRINGS, OF_CONNECTIONS = (CubicSpring, Gap), (Coulomb, QuadraticDrag)  # FMUs have linear ones
+OF_SPRINGS, OF_CONNECTIONS = (CubicSpring, Gap), (Coulomb, QuadraticDrag)  # FMUs have the linear forces
 RATE_TERMS = (Leak, GrowingLeak, Overflow)
 
 

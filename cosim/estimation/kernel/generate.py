@@ -277,7 +277,7 @@ def _add_sensor_errors(body: Body, model: Model) -> None:
     for kind in model.sensors:
         symbol = body.parameter(f"{kind.name}.value")
         if kind.depends_on_past():
-            continue  # the filter accounts for this derivative
+            continue  # the filter accounts for latency and lag
         outputs = true | {name: body.outputs[name] for name in kind.affected()}
         with number_guard(smooth=True):
             readings = kind(value=symbol).readings(SymbolNamespace(), body.symbols.time, outputs)
