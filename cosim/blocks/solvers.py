@@ -151,7 +151,7 @@ def cvode(
     most = MAX_CVODE_STEPS if max_steps is None else max_steps
 
     class Guarded(CVodeSolver):  # type: ignore[misc]
-        is_first, goal, steps = True, math.nan, 0  # of a reset; last target; single steps towards it
+        is_first, goal, steps = True, math.nan, 0  # first step after a reset; last target; single steps to it
         failed: Exception | None = None
         refusals: list[Exception]  # errors in this step because of which CVODE tries shorter steps
 
