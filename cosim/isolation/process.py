@@ -378,6 +378,8 @@ def _fork() -> _Forked:
         with suppress(OSError, ValueError):  # a stream may be closed
             stream.flush()
     (to_read, to_write), (out_read, out_write), (err_read, err_write) = os.pipe(), os.pipe(), os.pipe()
+    if sys.platform == "win32":
+        raise OSError("Windows has no fork")
     pid = os.fork()
     if pid:
         for end in (to_read, out_write, err_write):

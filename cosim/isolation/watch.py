@@ -129,10 +129,11 @@ def _memory(pid: int, limit: float) -> int:
     with suppress(psutil.Error):
         own = psutil.Process(pid)
         processes = {p.pid: p for p in (own, *own.children(recursive=True))}
-    for other in psutil.pids() if sys.platform != "win32" else ():  # orphans stay in the session of the worker
-        with suppress(OSError, psutil.Error):
-            if os.getsid(other) == pid:
-                processes[other] = psutil.Process(other)
+    if sys.platform != "win32":
+        for other in psutil.pids():  # orphans stay in the session of the worker
+            with suppress(OSError, psutil.Error):
+                if os.getsid(other) == pid:
+                    processes[other] = psutil.Process(other)
     size = 0
     for is_exact in (False, True):
         size = 0
