@@ -64,7 +64,9 @@ def test_the_step_is_that_of_an_annotation_and_what_is_not_said_is_warned_of(tmp
     for experiment, warnings in ((said('stopTime="1"', 0.25), 0), ("<ssd:DefaultExperiment/>", 2)):
         path = one(tmp_path / "x.ssp", experiment=experiment)
         outcome = run(path, tmp_path / "r", report=False, force=True, in_process=True)
-        about_times = [text for text in outcome.manifest["warnings"] if "--set step" in text or "--set duration" in text]
+        about_times = [
+            text for text in outcome.manifest["warnings"] if "--set step" in text or "--set duration" in text
+        ]
         assert len(about_times) == warnings
         if not warnings:
             assert outcome.results.time.tolist() == [0.0, 0.25, 0.5, 0.75, 1.0]
