@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import os
 from collections.abc import Sequence
 from functools import partial
 from html import escape
@@ -12,6 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cosim.core.arrays import Array, Rows
+from cosim.core.scratch import process_folder
 from cosim.core.text import counted
 from cosim.report.charts import Charts, Plot
 from cosim.report.panels import Panel
@@ -80,6 +82,8 @@ def frame_of(charts: Charts, plots: Sequence[Plot], title: str) -> str:
 
 def new_figure(width: float = 0.0, height: float = 0.0) -> Figure:
     """Return an empty figure of this width and height [inch], by default those of matplotlib."""
+    if not os.access(os.path.expanduser("~"), os.W_OK):  # without a home folder, matplotlib would make one and warn
+        os.environ.setdefault("MPLCONFIGDIR", str(process_folder()))
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(width, height) if width else None, layout="constrained")
