@@ -229,6 +229,6 @@ def test_the_framework_alone_serves_foreign_fmus_beside_files_of_the_users_names
         assert not re.search(r"craft|duty|tilt|heading|psi", words, re.IGNORECASE), page
     assert "identify" not in cosim("--help")
     # what needs the example says what to name instead
-    assert 'no model "base" is installed; name a' in cosim("replay e1.csv", 2)
-    assert "name one: a model.yaml" in cosim("build", 2)
+    assert 'no model "base" is installed; give a model.yaml' in cosim("replay e1.csv", 2)
+    assert "a model.yaml" in cosim("build", 2)
     assert "craft.yaml:1:8: " in cosim("check craft.yaml", 2)
