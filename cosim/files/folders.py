@@ -189,7 +189,7 @@ def newest_run(folder: Path) -> Path:
 
 
 def run_name(folder: Path) -> str:
-    """Return the name of a run's folder: with its number if it has one, such as `tank/0001`."""
+    """Return the name of the folder of a run; a numbered run has the form `tank/0001`."""
     *_, before, name = ("", *folder.resolve().parts)
     return f"{before}/{name}" if RUN_NUMBER.fullmatch(name) else name
 

@@ -148,7 +148,7 @@ class Exchange:
             self.move_by((kind.ctype * self.count)())
 
     def move_by(self, buffer: Any) -> None:
-        """Set the memory from which the FMU reads values, and into which it writes them."""
+        """Use `buffer` for all transfers of values to and from the FMU."""
         self.buffer = buffer
         self.arguments = ctypes.addressof(self.vrs), len(self.vrs), ctypes.addressof(buffer), self.count
 

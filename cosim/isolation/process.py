@@ -187,7 +187,12 @@ class Worker:
         return answer
 
     def end(self, kill: bool = False, *, replaced: bool = False) -> None:
-        """End the process and its children; remove its files, unless another process replaces it."""
+        """End the process and its children.
+
+        Args:
+            kill: Do not wait for the process to end by itself.
+            replaced: Keep the files of the process, for the next process.
+        """
         process: Any = self._process
         self._process = None
         if process is None:

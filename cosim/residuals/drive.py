@@ -491,5 +491,5 @@ class DriveApart(Drive):
 
 
 def drive_in(worker: Worker | None, log: Log, fmu: Path, *, limits: Limits | None = None, **options: Any) -> Drive:
-    """Return a drive whose FMU runs in a worker process, if there is one; other options are those of `Drive`."""
+    """Return a drive of an FMU in the worker process, or in this process without one; options are those of `Drive`."""
     return Drive(log, fmu, **options) if worker is None else DriveApart(worker, log, fmu, limits=limits, **options)

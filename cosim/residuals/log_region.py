@@ -73,7 +73,7 @@ def _stretch(drive: Drive, log: Log, replay: Replay) -> Stretch:
 
 
 def _free_levels(drive: Drive) -> set[str]:
-    """Return outputs on whose level nothing depends: another start value shifts them and has no other effect."""
+    """Return the outputs that another start value only shifts by a constant, such as a position."""
     found = set[str]()
     last = min(drive.log.rows - 1, MAX_LEVEL_ROWS)
     try:

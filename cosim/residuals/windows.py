@@ -65,7 +65,7 @@ class Replay:
     parameters: Mapping[str, StartParameter] = field(default_factory=dict)
 
     def errors(self, log: Log) -> dict[str, Array]:
-        """Return channel → measured − model, NaN where one of them is missing."""
+        """Return channel → measured − model; rows without a measured or model value are NaN."""
         return {name: values - self.outputs[name] for name, values in log.outputs.items()}
 
 

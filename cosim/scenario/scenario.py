@@ -45,7 +45,7 @@ def scalar(value: Any) -> Any:
 
 
 def _kind_of(component: Any) -> str | None:
-    """Return the kind of a component, which one of its keys determines."""
+    """Return the kind of a component in guillemets, such as «fmu» or «playback»; None for an unknown kind."""
     if isinstance(component, FmuComponent | ReferenceComponent | PlaybackComponent | FixComponent):
         return f"«{getattr(component, 'block', 'fmu')}»"
     if not isinstance(component, dict):

@@ -295,7 +295,8 @@ def entry() -> None:
         if hasattr(stream, "reconfigure"):  # a terminal or file without UTF-8 cannot show a true minus sign
             stream.reconfigure(errors="backslashreplace")
     warnings.showwarning = lambda message, category, *place: warn(str(message))
-    warnings.simplefilter("ignore", RuntimeWarning)  # of numpy, about a trial that is rejected anyway
+    # of numpy, in trials of cosim that are rejected; warnings in the code of a user stay
+    warnings.filterwarnings("ignore", category=RuntimeWarning, module=r"(cosim|numpy|scipy)\.")
     try:
         chosen = _verb_to_complete() if "_COSIM_COMPLETE" in os.environ else (*sys.argv[1:], "-h")[0]
         code = command_line(chosen)(standalone_mode=False) or 0

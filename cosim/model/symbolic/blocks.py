@@ -144,7 +144,7 @@ def function(
     ordered: dict[int, Block] = {}
 
     def visit(expressions: Iterator[Any]) -> None:
-        """Add the expressions, each after those on which it depends."""
+        """Append the blocks of the expressions to `ordered`, dependencies first."""
         for symbol in sorted({s for e in expressions for s in e.free_symbols}, key=str):
             node = maker.get(symbol)
             if node is not None and id(node) not in ordered:
