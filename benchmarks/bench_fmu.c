@@ -62,3 +62,7 @@ REST(fmi2GetRealStatus, Component c, int k, double *v)
 REST(fmi2GetIntegerStatus, Component c, int k, int *v)
 REST(fmi2GetBooleanStatus, Component c, int k, int *v)
 REST(fmi2GetStringStatus, Component c, int k, const char **v)
+
+#ifdef WITH_VARIABLE
+int instances_so_far = 0; /* instances of a library with such a variable may depend on each other */
+#endif

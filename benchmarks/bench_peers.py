@@ -20,7 +20,14 @@ from cosim.fmi.native.compiler import compiler
 
 H, STEPS = 0.02, 100  # of the start
 SWEEP_STEPS, RUNS, INSTANCES, ROUNDS = 200, 1000, 1000, 3
-FIGURES = ("start_over_fmpy_simulate", "check_over_import", "sweep_over_fmpy", "sweep_over_fmpy_cpu", "many_over_fmpy")
+FIGURES = (
+    "start_over_fmpy_simulate",
+    "check_over_import",
+    "sweep_over_fmpy",
+    "sweep_over_fmpy_cpu",
+    "sweep_with_variables_over_fmpy_cpu",
+    "many_over_fmpy",
+)
 SWEEP = """scenario: lags{steps}.yaml
 runs: {runs}
 vary: {{a.rate: {{uniform: [1, 2]}}}}
@@ -57,16 +64,17 @@ def peer_figures(place: Path) -> dict[str, float | str]:
         "start_over_fmpy_simulate": start_over_fmpy_simulate(place),
         "check_over_import": check_over_import(place),
         **sweep_over_fmpy(place),
+        "sweep_with_variables_over_fmpy_cpu": sweep_with_variables_over_fmpy(place),
         "many_over_fmpy": many_over_fmpy(place),
     }
 
 
-def lags_fmu(place: Path) -> Path:
-    """Return the FMU of lags, built by the C compiler only."""
+def lags_fmu(place: Path, *options: str) -> Path:
+    """Return the FMU of lags, built by the C compiler only, with further options of the compiler."""
     import fmpy
 
     path, library = place / "lags.fmu", place / "lags.so"
-    flags = ["-O2", "-shared", "-fPIC", "-o", str(library), str(Path(__file__).with_name("bench_fmu.c"))]
+    flags = [*options, "-O2", "-shared", "-fPIC", "-o", str(library), str(Path(__file__).with_name("bench_fmu.c"))]
     subprocess.run([*(compiler() or ()), *flags], check=True, capture_output=True)
     numbers = [(f"u{k}", k, "input", ' start="0"') for k in range(5)]
     numbers += [(f"y{k}", 5 + k, "output", "") for k in range(5)]
@@ -144,6 +152,14 @@ def sweep_over_fmpy(place: Path) -> dict[str, float]:
         pairs.append((times[0][0] / times[1][0], times[0][1] / times[1][1]))
     elapsed, used = map(median, zip(*pairs, strict=True))
     return {"sweep_over_fmpy": elapsed, "sweep_over_fmpy_cpu": used}
+
+
+def sweep_with_variables_over_fmpy(place: Path) -> float:
+    """Compare the processor time of the same sweep for a library with a global variable, which each run loads."""
+    apart = place / "variables"
+    apart.mkdir()
+    lags_fmu(apart, "-DWITH_VARIABLE")
+    return sweep_over_fmpy(apart)["sweep_over_fmpy_cpu"]
 
 
 def many_over_fmpy(place: Path) -> float:
