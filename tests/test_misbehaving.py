@@ -164,6 +164,27 @@ sys.argv[0] = "cosim"
 as_program(entry)
 """
 
+IGNORING = """
+import os, sys, time
+from cosim.verbs.cli import entry
+from cosim.core.program import as_program
+
+class Stop:
+    def __del__(self):
+        os.kill(os.getpid(), {number})
+
+class Finder:
+    def find_spec(self, *_):
+        if os.path.exists(sys.argv[-1] + "/manifest.json"):  # the report follows
+            sys.meta_path.remove(self)
+            Stop()
+            time.sleep(0.1)
+
+sys.meta_path.insert(0, Finder())
+sys.argv[0] = "cosim"
+as_program(entry)
+"""
+
 
 def listening() -> None:
     """Also where the suite runs in the background of a shell, which has its children ignore these."""
@@ -226,6 +247,29 @@ def test_a_run_that_is_stopped_again_and_again_leaves_its_rows_and_no_process(
     assert json.loads((tmp_path / "out" / "manifest.json").read_text())["status"].startswith("failed: the run at t = ")
     assert children
     assert not any(map(runs, children))
+
+
+@LINUX
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 4)])
+def test_a_stop_that_arrives_where_python_ignores_exceptions_stops_the_run(
+    tmp_path: Path, number: signal.Signals, code: int
+) -> None:
+    path = deeds_scenario(tmp_path, "none", "none")
+    command = [
+        sys.executable,
+        "-c",
+        IGNORING.format(number=int(number)),
+        "run",
+        str(path),
+        "--out",
+        str(tmp_path / "out"),
+    ]
+    done = subprocess.run(
+        command, env=ENVIRONMENT, capture_output=True, text=True, check=False, preexec_fn=listening, timeout=60
+    )
+    assert (done.returncode, "Traceback" in done.stderr) == (code, False)
+    assert rows_in(tmp_path / "out") == 11
+    assert not (tmp_path / "out" / "report.html").exists()
 
 
 @LINUX

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import _thread
 import errno
 import io
 import json
@@ -9,6 +10,7 @@ import math
 import os
 import signal
 import stat
+import sys
 import threading
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
@@ -19,7 +21,7 @@ from types import FrameType
 from typing import Any, TextIO
 
 from cosim.core.drafts import draft_of
-from cosim.core.errors import Fault, InputError, refuse
+from cosim.core.errors import Fault, InputError, Terminated, refuse
 from cosim.core.scratch import ScratchFolder, scratch
 from cosim.core.settings import FilePath as FilePath
 
@@ -109,13 +111,26 @@ class _Stops:
     is_holding: bool = False
     is_stopped: bool = False
     signals: list[int] = field(default_factory=list)
+    lost: BaseException | None = None  # stop that Python ignored
 
     def __call__(self, number: int, frame: FrameType | None) -> None:
         if self.is_holding:
             self.signals.append(number)
         else:
             self.is_holding = self.is_stopped = True
+            lost, self.lost = self.lost, None
+            if lost is not None:
+                raise lost.with_traceback(None)
             self.handlers[number](number, frame)
+
+    def repeat_lost(self, ignored: sys.UnraisableHookArgs) -> None:
+        """Raise a stop again soon after Python ignored it, as it does in `__del__` and in callbacks of imports."""
+        if isinstance(ignored.exc_value, (KeyboardInterrupt, Terminated)):
+            self.lost, self.is_holding = ignored.exc_value, False
+            number = next(iter(self.handlers))
+            threading.Timer(0.01, _thread.interrupt_main, (number,)).start()
+        else:
+            sys.__unraisablehook__(ignored)
 
     def release(self) -> None:
         """Raise the first delayed signal, unless a signal has already stopped the verb."""
@@ -140,9 +155,11 @@ def one_stop() -> Iterator[None]:
     for number in stops.handlers:
         signal.signal(number, stops)
     _stops.append(stops)
+    hook, sys.unraisablehook = sys.unraisablehook, stops.repeat_lost
     try:
         yield
     finally:
+        sys.unraisablehook = hook
         _stops.remove(stops)
         for number, handler in stops.handlers.items():
             signal.signal(number, handler)
