@@ -76,7 +76,8 @@ def test_rivals_that_a_straight_line_cannot_tell_apart_are_told_by_the_excitatio
     straight = {"x_ref": 0.3 * (time % 4.0 < 2.0), "psi_ref": 0.0 * time}
     straight |= dict.fromkeys(INPUTS[:2], np.full(time.size, Settings().duty_nominal))
     poor = attributed(log_of_truth(tmp_path / "poor.csv", craft, straight))
-    assert poor.decision.rivals.keys() == {frozenset({name}) for name in RIVALS}
+    assert poor.decision.verdict == "ambiguous"
+    assert poor.decision.rivals.keys() >= {frozenset({name}) for name in RIVALS}  # both at once may be a third
     rich = attributed(log_of_truth(tmp_path / "rich.csv", craft, played | columns(tmp_path / "references.csv")))
     assert (rich.decision.verdict, rich.claimed) == ("effect_found", {"thrust_asymmetry"})
     # three standard deviations, or the test hangs on its seed
@@ -123,7 +124,14 @@ def test_a_pair_that_no_input_separates_does_not_decide_between_inputs(tmp_path:
     blind = ("accelerometer_bias", "accelerometer_scale")  # one and the same where the acceleration is not logged
 
     first, best = (
-        excite("base", tmp_path, [*blind, "yaw_damping"], measured=["psi", "psi_dot"], duration=10.0, experiments=count)
+        excite(
+            "base",
+            tmp_path / str(count),
+            [*blind, "yaw_damping"],
+            measured=["psi", "psi_dot"],
+            duration=10.0,
+            experiments=count,
+        )
         for count in (1, 6)
     )
     assert best.apart[blind] == 0.0
