@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import cosim
-from cosim.credibility.record import read_credibility
+from cosim.credibility.found import read_credibility
 from tests.logs import integrated, write_log
 from tests.slider import TRUTH, slider_fmu
 

@@ -21,7 +21,8 @@ import xmlschema
 import cosim
 from cosim.core.errors import InputError
 from cosim.credibility.bands import Track, band_horizons, bands_of, conformal_quantile, coverage_of
-from cosim.credibility.record import IDENTITY, RECORD, SRMD, attach, read_credibility, sign
+from cosim.credibility.found import IDENTITY, RECORD, read_credibility
+from cosim.credibility.record import SRMD, attach, sign
 from cosim.credibility.region import Stretch, distances, region_of
 from cosim.verbs.checks import schema_of
 from tests.cases import some

@@ -13,7 +13,8 @@ import pytest
 
 import cosim
 from cosim.credibility.bands import Bands
-from cosim.credibility.record import Credibility, attach, content_hash, read_credibility
+from cosim.credibility.found import content_hash, read_credibility
+from cosim.credibility.record import Credibility, attach
 from cosim.credibility.region import Region, Stretch, region_of
 from cosim.fmi.wrapping.wrap import wrap
 from tests.hosts_fmpy import Instance

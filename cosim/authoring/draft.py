@@ -23,8 +23,8 @@ from cosim.core.errors import Fault, InputError
 from cosim.core.messages import Note
 from cosim.core.text import NOT_IN_YAML, as_yaml, unique_name
 from cosim.core.times import STEP_COUNT_TOLERANCE, difference
+from cosim.fmi.annotations import sampled_by
 from cosim.fmi.description import no_library, platform_of, takes_any_step, unit_of
-from cosim.fmi.model_description import sampled_by
 from cosim.scenario.scenario_file import ScenarioFile
 from cosim.scenario.start_values import settable
 from cosim.system.events import default_block

@@ -21,9 +21,9 @@ from cosim.blocks.solvers import Solver
 from cosim.blocks.stepping import Move, Slot, StopReason
 from cosim.blocks.values import FmuVariables
 from cosim.core.errors import FmuError
+from cosim.fmi.annotations import AUTHOR, optional_inputs, sampled_by, traits_of
 from cosim.fmi.description import Way, declares_slopes, slips_of, ways
 from cosim.fmi.fmi_types import element_names
-from cosim.fmi.model_description import AUTHOR, optional_inputs, sampled_by, traits_of
 from cosim.fmi.state import Memory, Own, own_of, with_memory
 
 POINTER = ctypes.c_void_p

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import base64
-import hashlib
 import json
 import zipfile
 from collections.abc import Mapping
-from functools import lru_cache
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 from xml.etree import ElementTree
 
 from pydantic import BaseModel, ConfigDict
@@ -20,13 +18,11 @@ from cosim.core.extras import optional
 from cosim.core.text import counted, join_names, plain
 from cosim.core.version import __version__
 from cosim.credibility.bands import Bands, Finite
+from cosim.credibility.found import IDENTITY, RECORD, content_hash, identity_of, read_credibility
 from cosim.credibility.region import Region
-from cosim.files.archive import DAMAGES, member_of
+from cosim.files.archive import DAMAGES
 from cosim.fmi.fmu_build import archive_member
 
-SCHEMA = 1
-CREDIBILITY_FOLDER = "extra/org.cosim.credibility/"
-RECORD, IDENTITY = f"{CREDIBILITY_FOLDER}credibility.json", f"{CREDIBILITY_FOLDER}identity.json"
 SRMD = "extra/org.ssp-standard.ssp-traceability.srmd/resourceMetaData.srmd"  # place and name of the standard
 SRMD_VERSION, LAYERED_STANDARD = "1.0.0", "1.0-rc.2"  # of the format, and the release of SSP LS Traceability
 SRMD_NAMESPACES = {
@@ -34,7 +30,6 @@ SRMD_NAMESPACES = {
     "stc": "http://ssp-standard.org/SSPTraceability1/SSPTraceabilityCommon",
     "xlink": "http://www.w3.org/1999/xlink",
 }
-READ_CHUNK_BYTES = 1 << 20
 
 
 class LogRecord(BaseModel):
@@ -197,60 +192,7 @@ def require_credibility(fmu: Path) -> tuple[Credibility, str]:
     return record, problem
 
 
-class Found(NamedTuple):
-    """The record of an FMU (None if there is no readable one), and a message on what is wrong with it, or ""."""
-
-    record: Credibility | None
-    problem: str = ""
-
-
-def read_credibility(fmu: Path) -> Found:
-    """Return the record of an FMU, or why it cannot be read."""
-    about = fmu.stat()
-    return _read(fmu, about.st_mtime_ns, about.st_size, about.st_ino)
-
-
-@lru_cache(maxsize=64)
-def _read(fmu: Path, _time: int, _size: int, _file: int) -> Found:
-    try:
-        text = member_of(fmu, RECORD)
-        if text is None:
-            return Found(None)
-        content: Any = json.loads(text)
-        version = content.get("schema_version") if isinstance(content, dict) else None
-        if isinstance(version, int) and version > SCHEMA:
-            problem = f"its record of credibility has schema {version}, and this version of cosim reads {SCHEMA}"
-            return Found(None, f"{problem}; it is ignored")
-        record = Credibility.model_validate(content)
-        is_changed = _identity(fmu).get("sha256") != content_hash(fmu)
-    except DAMAGES as error:
-        return Found(None, f"its record of credibility is damaged and ignored: {str(error).splitlines()[0]}")
-    if is_changed:
-        problem = "it was changed after its record of credibility was written: its SHA-256 differs or is missing"
-        return Found(record, problem)
-    return Found(record)
-
-
 # -- identity ------------------------------------------------------------------------------------------------
-
-
-def content_hash(fmu: Path) -> str:
-    """Return the SHA-256 of names and contents of all files in an FMU, except the file with this SHA-256."""
-    sha = hashlib.sha256()
-    with zipfile.ZipFile(fmu) as archive:
-        for member in sorted(archive.infolist(), key=lambda m: m.filename):
-            if member.filename == IDENTITY or member.is_dir():
-                continue
-            sha.update(f"{member.filename}\0{member.file_size}\0".encode())
-            with archive.open(member) as stream:
-                while part := stream.read(READ_CHUNK_BYTES):
-                    sha.update(part)
-    return sha.hexdigest()
-
-
-def _identity(fmu: Path) -> dict[str, Any]:
-    content = json.loads(member_of(fmu, IDENTITY) or "{}")
-    return content if isinstance(content, dict) else {}
 
 
 def sign(fmu: Path, key: Path) -> None:
@@ -278,7 +220,7 @@ def check_signature(fmu: Path, key: Path) -> None:
     """
     public = _key(key, "public")
     try:
-        identity, content = _identity(fmu), content_hash(fmu)
+        identity, content = identity_of(fmu), content_hash(fmu)
     except DAMAGES as error:
         raise InputError.at(fmu, f"is damaged: {error}; get it from its author again") from None
     if not isinstance(identity.get("signature"), str):

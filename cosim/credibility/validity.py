@@ -12,9 +12,7 @@ import numpy as np
 from cosim.blocks.fmu import FmuBlock
 from cosim.core.arrays import Array, NamedArrays
 from cosim.core.text import percent
-from cosim.credibility.bands import Bands
-from cosim.credibility.record import read_credibility
-from cosim.credibility.region import Stretch, distances
+from cosim.credibility.found import read_credibility
 from cosim.files.results import Results
 from cosim.report.panels import Panel, signal_panel
 
@@ -57,6 +55,8 @@ def validity_of(fmu: Path, time: Array, signals: NamedArrays) -> dict[str, Any]:
     entry["bands"] = record.bands.model_dump(mode="json", include={"level", "horizons", "widths", "units", "reason"})
     if record.region.reason or not time.size:
         return entry | {"reason": record.region.reason}
+    from cosim.credibility.region import Stretch, distances
+
     away = distances(record.region, Stretch(time, signals))
     if len(away.missing) == len(record.region.coordinates):
         return entry | {"reason": "none of its signals is recorded", "missing": [*away.missing]}
@@ -109,6 +109,8 @@ def output_panels(name: str, entry: Validity, time: Array, outputs: NamedArrays)
 
 def band_of(entry: Validity, output: str, ages: Array) -> Array:
     """Return the half-width of the band of an output by the time since the start [s], NaN where unknown."""
+    from cosim.credibility.bands import Bands
+
     return Bands.model_validate(entry["bands"]).at(output, ages)
 
 

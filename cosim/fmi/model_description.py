@@ -10,17 +10,16 @@ from dataclasses import asdict, dataclass
 from html import escape
 from pathlib import Path
 from string import Template
-from xml.etree.ElementTree import Element, ParseError, SubElement, fromstring, indent, tostring
+from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
 from cosim.core.units import DISPLAY, unit_definitions
 from cosim.core.version import __version__
-from cosim.files.archive import BadArchive, description_of
+from cosim.fmi.annotations import AUTHOR, TOOL
 from cosim.fmi.ports import Port
 from cosim.model.model import AUTO, RK4, STIFF, Model
-from cosim.model.planar import PlanarFrame
 from cosim.model.traits import Traits
 
-TOOL, AUTHOR, LICENCE = "cosim", "The cosim authors", "MIT"
+LICENCE = "MIT"
 ASSETS = Path(__file__).resolve().parent / "assets"
 NEEDS = "<p>Integration: {method} in equal substeps of at most {substep:g} ms, with constant inputs.</p>"
 METHOD = {AUTO: "RK4", RK4: "RK4", STIFF: "RODAS, linearly implicit,"}
@@ -227,39 +226,3 @@ def documentation(about: Description, text: str, guid: str, way: str) -> dict[st
     )
     licence = (ASSETS / "license.txt").read_bytes()
     return {"documentation/index.html": page.encode(), "documentation/license.txt": licence}
-
-
-# -- vendor annotations of cosim's own FMUs, which other tools ignore ---------------------------------
-
-
-def sampled_by(fmu: Path) -> str | None:
-    """Return the name of the parameter whose value is the only accepted communication step; None for any step."""
-    node = _own_annotation(fmu, "Sampled")
-    return None if node is None else node.get("parameter")
-
-
-def optional_inputs(fmu: Path) -> frozenset[str]:
-    """Return the inputs of an FMU built by cosim that may stay unconnected without a warning."""
-    node = _own_annotation(fmu, "Sampled")
-    return frozenset() if node is None else frozenset(node.get("optional", "").split())
-
-
-def traits_of(fmu: Path) -> Traits | None:
-    """Return the traits (rates, limits, planar frame) that cosim has stored in an FMU; None for FMUs of other tools."""
-    node = _own_annotation(fmu, "Traits")
-    if node is None:
-        return None
-    frame = node.find("PlanarFrame")
-    return Traits(
-        {rate.attrib["of"]: rate.attrib["signal"] for rate in node.findall("Rate")},
-        {n.attrib["of"]: (float(n.attrib["low"]), float(n.attrib["high"])) for n in node.findall("Limits")},
-        None if frame is None else PlanarFrame(**frame.attrib),
-    )
-
-
-def _own_annotation(fmu: Path, tag: str) -> Element | None:
-    try:
-        root = fromstring(description_of(fmu))
-    except (OSError, BadArchive, ParseError):
-        return None
-    return root.find(f"VendorAnnotations/Tool[@name='{TOOL}']/{tag}")

@@ -25,8 +25,8 @@ from cosim.core.times import rounding, roundings
 from cosim.files.artefact import FMU, LOG
 from cosim.files.kinds import check_given
 from cosim.files.yaml_file import Document, NotYaml, short
+from cosim.fmi.annotations import traits_of
 from cosim.fmi.description import read_description, takes_any_step
-from cosim.fmi.model_description import traits_of
 from cosim.fmi.state import Memory, Own
 from cosim.isolation import worker as here
 from cosim.isolation.limits import Limits

@@ -16,7 +16,7 @@ from cosim.core import errors
 from cosim.core.errors import FmuError, InputError, Interrupted
 from cosim.core.messages import CheckWarning, Note, with_severity
 from cosim.core.scratch import temporary_folder
-from cosim.credibility.record import read_credibility
+from cosim.credibility.found import read_credibility
 from cosim.files.artefact import Checking
 from cosim.files.files import FilePath
 from cosim.files.results import Results

@@ -9,8 +9,8 @@ from cosim.blocks.event_mode import EventFmu
 from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.sources import SourceBlock
 from cosim.core.text import did_you_mean
+from cosim.fmi.annotations import sampled_by
 from cosim.fmi.description import takes_any_step
-from cosim.fmi.model_description import sampled_by
 from cosim.scenario.scenario import FixComponent
 from cosim.system.wiring import Building, Components, Transfer
 

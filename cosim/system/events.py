@@ -16,9 +16,9 @@ from cosim.blocks.sources import SourceBlock
 from cosim.core.text import did_you_mean
 from cosim.core.times import first_point
 from cosim.core.units import read_quantity
+from cosim.fmi.annotations import sampled_by
 from cosim.fmi.description import Way, enumeration_items, takes_any_step, unit_of, ways
 from cosim.fmi.fmi_types import FLOAT_TYPES, input_aliases
-from cosim.fmi.model_description import sampled_by
 from cosim.scenario.scenario import FmuComponent
 from cosim.scenario.start_values import bounds_of, convert_value
 from cosim.system.schedule import Loop, Schedule, Stage

@@ -23,9 +23,9 @@ from cosim.core.errors import refuse
 from cosim.core.messages import Note
 from cosim.core.text import DisplayUnits, did_you_mean
 from cosim.core.units import alternatives, conversion
-from cosim.credibility.record import Found, read_credibility
+from cosim.credibility.found import Found, read_credibility
+from cosim.fmi.annotations import sampled_by
 from cosim.fmi.description import display_units
-from cosim.fmi.model_description import sampled_by
 from cosim.scenario.scenario import LoopSettings
 from cosim.scenario.scenario_file import Place, ScenarioFile
 from cosim.system.components import build_components

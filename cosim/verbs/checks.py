@@ -76,7 +76,6 @@ def check(
         InputError: A file has faults; the error names all of them.
     """
     from cosim.blocks.compiling import compiling, permission
-    from cosim.credibility.record import check_signature
     from cosim.files.artefact import FMU
     from cosim.files.kinds import kind_by_form
     from cosim.isolation.process import Worker
@@ -102,6 +101,8 @@ def check(
                     if signed_by is not None:
                         if kind_by_form(path) != FMU:
                             raise InputError.at(path, "is not an FMU; --signed-by checks FMUs only")
+                        from cosim.credibility.record import check_signature
+
                         check_signature(path, Path(signed_by))
                     lines += [with_prefix(f"{path}: ", line) for line in _check_isolated(path, checking)]
                 except InputError as error:
@@ -198,7 +199,7 @@ def info_command(
     Example: cosim info plant.fmu controller.fmu
     """
     from cosim.blocks.summary import summaries
-    from cosim.credibility.record import read_credibility
+    from cosim.credibility.found import read_credibility
 
     if not places and (log or limits or compile):
         raise typer.BadParameter("--log, --limits and --compile need --places")

@@ -12,8 +12,9 @@ from typing import Any
 from cosim.core.drafts import draft_of
 from cosim.core.units import unit_of_rate
 from cosim.core.version import __version__
+from cosim.fmi.annotations import TOOL
 from cosim.fmi.fmu_build import Recipe, digest, write_zip
-from cosim.fmi.model_description import ASSETS, TOOL, Description, describe, documentation
+from cosim.fmi.model_description import ASSETS, Description, describe, documentation
 from cosim.fmi.native.check import Check
 from cosim.fmi.native.compiler import commands, fmi_headers, glibc_floor, library_of
 from cosim.fmi.native.printing import ModelPrinter, variable_tables
