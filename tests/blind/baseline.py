@@ -56,12 +56,12 @@ def conduct(suite: str, seed: int, python: str, revision: str) -> Line:
         python: of the environment.
         revision: whose model files of plants are used; one that ends in + is this tree.
     """
-    command = harness.CommandRefiner(f"{shlex.quote(python)} -P -m cosim refine {{study}} --out {{out}}", TIMEOUT)
+    command = f"{shlex.quote(python)} -P -m cosim refine {{study}} --out {{out}}"
 
     def refiner(study: Path, out: Path) -> None:
         for path in study.parent.glob("*.py") if not revision.endswith("+") else ():
             path.write_bytes(revisions.git("show", f"{revision}:tests/blind/plants/{path.name}"))
-        command(study, out)
+        harness.refine_by(command, TIMEOUT, study, out)
 
     _, line = harness.conduct(suite, seed, refiner)
     del line["seconds"]
