@@ -24,17 +24,13 @@ from cosim.master.master import simulate
 from cosim.master.own_process import in_own_processes
 from cosim.scenario.scenario_file import ScenarioFile
 from cosim.system.system import build_system
-from tests.coupled import CHASSIS, LINEAR, TRUCK, WHEEL, coupled_fmu
+from tests.coupled import LINEAR, coupled_fmu, truck
 from tests.instants import CONSTANT, instants_fmu
 from tests.test_event_mode import RISES, scenario
 from tests.walker import walker_fmu
 
 TICKS = {"fmu": "clocked.fmu", "start": {"level": 9.0}}
 LOOP = ("a.y0 → b.u0", "b.y0 → a.u0")
-TRUCK_OF_TWO = (
-    {name: {"fmu": f"{name}.fmu", "start": TRUCK[law]} for name, law in (("chassis", CHASSIS), ("wheel", WHEEL))},
-    ("chassis.y0 → wheel.u0", "wheel.y0 → chassis.u0"),
-)
 
 
 def linear(a: dict[str, float], b: dict[str, float]) -> dict[str, Any]:
@@ -56,8 +52,6 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (place / "recording.csv").write_text(f"time,w,v\n{rows}")
     instants_fmu(place / "scheduled.fmu", CONSTANT, scheduled=True)
     coupled_fmu(place / "exchange.fmu", LINEAR, exchange=True)
-    coupled_fmu(place / "chassis.fmu", CHASSIS)
-    coupled_fmu(place / "wheel.fmu", WHEEL)
     return place
 
 
@@ -94,7 +88,7 @@ def test_fmus_with_event_mode_in_processes_of_their_own_have_the_same_bytes(fold
 
 
 def test_states_are_taken_back_in_a_process_of_its_own(folder: Path) -> None:
-    file = scenario(folder, *TRUCK_OF_TWO, duration=1.12, step={"max": 0.02, "min": 1e-4, "tolerance": 1e-3})
+    file = scenario(folder, *truck(folder), duration=1.12, step={"max": 0.02, "min": 1e-4, "tolerance": 1e-3})
     here = ran(file)
     assert here.details["steps"]["estimator"] == "halving"
     assert here.details["steps"]["rejected"] > 0
@@ -128,7 +122,7 @@ def test_what_does_not_go_with_event_mode_is_refused(folder: Path) -> None:
 
 
 def test_steps_are_controlled_between_events(folder: Path) -> None:
-    components, wires = TRUCK_OF_TWO
+    components, wires = truck(folder)
     equal = ran(scenario(folder, components, wires, duration=2, step=1e-4, record=["chassis.y0", "wheel.y0"]))
     step = {"max": 0.02, "min": 1e-4, "rows": 0.1, "tolerance": 1e-2}
     file = scenario(folder, components | {"r": RISES, "c": TICKS}, wires, duration=2, step=step)
