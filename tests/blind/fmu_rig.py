@@ -56,8 +56,6 @@ SHORTEST_LAG = 0.5  # time constant of a sensor in rows, below which the integra
 DAMPING = {"damping": (0.4, 0.8)}
 QUICK = 50.0  # a lag so many times faster than a part of a row is none
 
-Ranges = Mapping[str, tuple[float, float]]
-
 
 def place(name: str) -> str:
     """Return the name of a place: every character except letters, digits and _ becomes _."""

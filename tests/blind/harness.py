@@ -53,6 +53,7 @@ FOUND = ("verdict", "grade", "not_excluded", "alike", "failure")
 STAGES = ("before", "recalibrated", "after", "nearest")
 SETS = ("estimation", "validation")
 BEST = 5  # candidates with scores
+TIMEOUT = 600.0  # time limit of a study [s]
 
 Key = tuple[str, int]  # suite, seed
 Refiner = Callable[[Path, Path], Any]  # (study.yaml, folder to leave refine.json in)
@@ -226,9 +227,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--jobs", type=int, default=1, help="studies at a time (seconds are honest with 1)")
     parser.add_argument("--only", nargs="+", default=[], metavar="NAME", help="kinds, plants, ways, laboratory effects")
     parser.add_argument("--first", type=int, default=0, help="first seed; develop on others than you report")
-    parser.add_argument("--results", type=Path, default=RESULTS)
-    parser.add_argument("--command", default=command, help="refiner, with {study} and {out}")
-    parser.add_argument("--timeout", type=float, default=600.0, help="seconds a study may take")
     options = parser.parse_args(arguments)
     if options.count < 1 or options.jobs < 1 or options.first < 0:
         parser.error("N and --jobs are at least 1, --first at least 0")
@@ -236,15 +234,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     chosen = {half: seeds(half, options.count, options.first, options.only) for half in halves}
     if not any(chosen.values()):
         parser.error(f"no study of {options.half} has {', '.join(options.only)}")
-    refiner = partial(refine_by, options.command, options.timeout)
+    refiner = partial(refine_by, command, TIMEOUT)
     one = partial(conduct_here, refiner=refiner, of_revision=of_revision)
     lines, summaries = {}, {}
     for half in halves:
         todo = [(half, seed) for seed in chosen[half]]
-        have = read(options.results, of_revision)
+        have = read(RESULTS, of_revision)
         missing = [key for key in todo if key not in have or have[key]["verdict"] == "failed"]
-        run(missing, one, options.results, options.jobs)
-        have = read(options.results, of_revision)
+        run(missing, one, RESULTS, options.jobs)
+        have = read(RESULTS, of_revision)
         lines[half] = [have[key] for key in todo]
     for half, judged in lines.items():
         print(score.table(half, judged), end="\n\n")

@@ -98,7 +98,6 @@ NEED_DUTY = {"thrust_slope", "torque_reaction"}
 PAIR, BASE_PAIR = "two effects", "two base parameters"
 KNOWN_DECK = (*EFFECTS, *BASE, *SENSORS, *(PAIR,) * 6, *(BASE_PAIR,) * 2)
 NOTHING_DECK = ("clean", "disturbed")
-NAMES = (*EFFECTS, *BASE, *SENSORS, *OUTSIDE)
 
 DURATION = 40.0  # [s]
 DISTURBANCE = (0.004, 0.004, 0.0002)  # forward, starboard [N], yaw [N m]: standard deviations
