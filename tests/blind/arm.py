@@ -5,8 +5,6 @@ round to 0.1 mrad, and measured torques are wrong by about 1 %. In five of six s
 the sixth none. The simulation uses nothing of the project; `least_squares` supplies an error for comparison.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import shutil

@@ -11,8 +11,6 @@ files of plants are those of the revision, whose classes they use. A near-tie is
 another: it stays, and figures are printed with and without such studies.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import math

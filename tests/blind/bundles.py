@@ -7,8 +7,6 @@ A bundle is what the decision of a study depends on (`cosim/refinement/decision/
 line of the study in `build/bundles`, which is not in the repository. Alternatives are judged by names alone.
 """
 
-from __future__ import annotations
-
 import argparse
 import pickle
 from collections.abc import Callable, Iterable

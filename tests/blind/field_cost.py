@@ -6,8 +6,6 @@ without the effect. Base parameters (within their tolerances) and the study's fu
 change. Half the square of the rest is the cost.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from typing import Any

@@ -1,8 +1,6 @@
 """Craft of the field half: truth and pilot of the laboratory half, with other base parameters, pushes and row times."""
 
 # ruff: noqa: RUF012 - what a rig declares are attributes of its class
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -1,8 +1,6 @@
 """Independent equations of the four own plants of the field half, from forces, powers and balances of volume."""
 
 # ruff: noqa: RUF012 - what a rig declares are attributes of its class
-from __future__ import annotations
-
 import math
 from functools import partial
 from typing import Any

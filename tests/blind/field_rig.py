@@ -5,8 +5,6 @@ scipy's DOP853, arrays hold many slightly different rigs at once for `field_cost
 """
 
 # ruff: noqa: RUF012 - what a rig declares are attributes of its class
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field

@@ -7,8 +7,6 @@ A mixed study has two or three effects of the catalogue; every fifth has one suc
 outside the catalogue. The rest is as in the field half.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import shutil

@@ -23,8 +23,6 @@ declares its places: inputs, position-velocity pairs, storages, outputs. From th
 """
 
 # ruff: noqa: RUF012 - what a rig declares are attributes of its class
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Callable, Collection, Mapping
@@ -77,7 +75,7 @@ class Input:
         """Return the largest distance of a command from 0."""
         return max(abs(self.low), abs(self.high))
 
-    def effects(self, _: str, rig: FmuRig) -> dict[str, Entry]:
+    def effects(self, _: str, rig: Rig) -> dict[str, Entry]:
         """Return the effects that an input may have."""
         h, reach = rig.step, self.reach
         return {
@@ -153,7 +151,7 @@ class Output:
     spread: float
     kinds: str
 
-    def effects(self, name: str, rig: FmuRig) -> dict[str, Entry]:
+    def effects(self, name: str, rig: Rig) -> dict[str, Entry]:
         """Return the errors that an output may have."""
         h, slow = rig.step, self.spread / (rig.rows * rig.step)
         return {

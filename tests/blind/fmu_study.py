@@ -5,8 +5,6 @@ Six plants alternate; over 24 consecutive seeds each is drawn with both ways and
 5000 nats (`field_cost`); half of the known studies have a fifth of that size instead, which costs 20 nats at least.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any

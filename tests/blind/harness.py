@@ -8,8 +8,6 @@ study, appended at once. A restarted run skips studies with a verdict of the sam
 output is JSON: the figures of `score.summary`, with the figures of further halves under their names.
 """
 
-from __future__ import annotations
-
 import argparse
 import fcntl
 import itertools

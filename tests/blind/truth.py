@@ -7,8 +7,6 @@ Consecutive seeds are dealt from shuffled decks: any twenty contain 11 known, 5 
 alternate. Sizes are those of a real rig (docs/blind.md).
 """
 
-from __future__ import annotations
-
 import json
 import math
 from dataclasses import asdict, dataclass

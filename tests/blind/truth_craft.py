@@ -7,8 +7,6 @@ Two frames: body axes f (forward) and s (starboard, to the right); world axes X,
 A body vector (f, s) is (f·cos ψ + s·sin ψ, f·sin ψ − s·cos ψ) in the world, and the same map leads back.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
