@@ -19,17 +19,7 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import least_squares as minimise
 from scipy.signal import savgol_filter
 
-from tests.blind.field_rig import (
-    LOGS,
-    Array,
-    Random,
-    base_numbers,
-    csv,
-    log_uniform,
-    random_stream,
-    runge_kutta,
-    write_study,
-)
+from tests.blind.field_rig import LOGS, Array, Random, base_numbers, csv, log_uniform, random_stream, write_study
 
 PLANT = Path(__file__).with_name("plants") / "arm.py"
 STEP, ROWS, HORIZON = 0.005, 2000, 0.3  # [s], rows of a log, [s] of a prediction
@@ -169,7 +159,7 @@ def missed(values: Array, torque: Array, angle: Array) -> Array:
     x = np.concatenate([angle[starts], rate[starts]], axis=1).T
     errors = np.empty((length, starts.size, 2))
 
-    def slopes(_: float, x: Array, u: Array) -> Array:
+    def slopes(x: Array, u: Array) -> Array:
         q1, q2, w1, w2 = x
         sin, cos = np.sin(q2), np.cos(q2)
         lower = g2 * np.cos(q1 + q2)
@@ -180,8 +170,13 @@ def missed(values: Array, torque: Array, angle: Array) -> Array:
         determinant = m11 * m22 - m12**2
         return np.stack([w1, w2, (t1 * m22 - t2 * m12) / determinant, (t2 * m11 - t1 * m12) / determinant])
 
+    h = STEP / 2
     for k in range(length):
-        held = partial(slopes, u=torque[starts + k].T)
-        x = runge_kutta(held, 0.0, runge_kutta(held, 0.0, x, STEP / 2), STEP / 2)
+        u = torque[starts + k].T
+        for _ in range(2):
+            k1 = slopes(x, u)
+            k2 = slopes(x + h / 2 * k1, u)
+            k3 = slopes(x + h / 2 * k2, u)
+            x = x + h / 6 * (k1 + 2 * k2 + 2 * k3 + slopes(x + h * k3, u))
         errors[k] = (angle[starts + k + 1].T - x[:2]).T
     return np.clip(errors.reshape(-1, 2), -10.0, 10.0)

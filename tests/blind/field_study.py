@@ -197,47 +197,46 @@ def hidden(attempt: Callable[[], Study | None]) -> Study:
     raise RuntimeError("no effects that can be seen")
 
 
-@dataclass
-class _Search:
-    """Search for the size of an effect with a wanted cost; `tried` has the last size with its cost."""
+def next_size(entry: Entry, wanted: float, size: float, cost: float, last: tuple[float, float] | None) -> float:
+    """Return the next size to try, within the limits, from a power law of the cost, at first the square.
 
-    size: float
-    wanted: float
-    tried: tuple[float, float] | None = None
-
-    def next_size(self, entry: Entry, cost: float) -> float:
-        """Return the next size to try, within the limits, from a power law of the cost, at first the square."""
-        if entry.fixed:
-            return self.size
-        power, cost = 2.0, max(cost, 1e-3)
-        if self.tried and abs(math.log(self.size / self.tried[0])) > 1e-3:
-            power = math.log(cost / self.tried[1]) / math.log(self.size / self.tried[0])
-        self.tried = self.size, cost
-        factor = (self.wanted / cost) ** (1.0 / min(max(power, 1.0), 12.0))
-        return float(min(max(self.size * min(max(factor, 0.1), 10.0), entry.low), entry.high))
+    Args:
+        entry: of the effect.
+        wanted: its cost [nats].
+        size: just tried.
+        cost: of this size.
+        last: size tried before, with its cost.
+    """
+    power = 2.0
+    if last and abs(math.log(size / last[0])) > 1e-3:
+        power = math.log(cost / last[1]) / math.log(size / last[0])
+    factor = (wanted / cost) ** (1.0 / min(max(power, 1.0), 12.0))
+    return float(min(max(size * min(max(factor, 0.1), 10.0), entry.low), entry.high))
 
 
 def sized(study: Study, names: Sequence[str], rng: Random, wanted: Wanted) -> Study | None:
     """Return the study with each effect at the size of its wanted cost; None if a cost cannot be reached."""
-    entries, units, searches = {name: study.rig.every_entry[name] for name in names}, {}, {}
+    entries, goals, sizes, units = {name: study.rig.every_entry[name] for name in names}, {}, {}, {}
     for name, entry in entries.items():
-        cost = wanted(rng)
-        start = float(rng.uniform(entry.low, entry.high)) if entry.fixed else entry.start
-        units[name], searches[name] = entry.unit(rng), _Search(start, cost)
+        goals[name] = wanted(rng)
+        sizes[name] = float(rng.uniform(entry.low, entry.high)) if entry.fixed else entry.start
+        units[name] = entry.unit(rng)
+    searched, last = [name for name, entry in entries.items() if not entry.fixed], {}
     for _ in range(6):
-        study = replace(study, truth={n: entry.at(units[n], searches[n].size) for n, entry in entries.items()})
+        study = replace(study, truth={name: entry.at(units[name], sizes[name]) for name, entry in entries.items()})
         try:
             study = with_costs(study)
         except ArithmeticError:
             return None
-        sizes = {name: s.next_size(entries[name], study.costs[name]) for name, s in searches.items()}
-        for name, s in searches.items():
-            if s.tried and s.size == entries[name].high and s.tried[1] < LEAST:
+        before = dict(sizes)
+        for name in searched:
+            entry, cost = entries[name], max(study.costs[name], 1e-3)
+            if before[name] == entry.high and cost < LEAST:
                 return None  # the cost is too low at the largest size
-        if all(abs(math.log(sizes[name] / s.size)) < NEAR for name, s in searches.items()):
+            sizes[name] = next_size(entry, goals[name], before[name], cost, last.get(name))
+            last[name] = before[name], cost
+        if all(abs(math.log(sizes[name] / before[name])) < NEAR for name in searched):
             break
-        for name, s in searches.items():
-            s.size = sizes[name]
     return study if min(study.costs.values()) >= LEAST else None
 
 

@@ -24,21 +24,10 @@ TILT_MAX = math.radians(12.0)
 
 # base model, SI; `slope`, `offset` in gf/% and gf
 SHEET: dict[str, float] = {
-    "mass": 0.705,
-    "izz": 0.01023,
-    "ixx": 0.009377,
-    "arm": 0.17145,
-    "propeller_radius": 0.127,
-    "height": 0.095,
-    "thrust_offset": -2076.0,
-    "thrust_slope": 359.9,
-    "ground_effect_exponent": 1.902,
-    "lag": 0.0884,
-    "friction": 0.25,
-    "gravity": 9.81,
-    "table_roll_stiffness": 5.0,
-    "table_roll_damping": 0.45,
-}
+    "mass": 0.705, "izz": 0.01023, "ixx": 0.009377, "arm": 0.17145, "propeller_radius": 0.127, "height": 0.095,
+    "thrust_offset": -2076.0, "thrust_slope": 359.9, "ground_effect_exponent": 1.902, "lag": 0.0884, "friction": 0.25,
+    "gravity": 9.81, "table_roll_stiffness": 5.0, "table_roll_damping": 0.45,
+}  # fmt: skip
 BODY = ("x", "y", "x_world", "y_world", "psi", "vx", "vy", "psi_dot", "phi", "phi_dot")
 POWER = ("thrust_right", "thrust_left", "tilt_right", "tilt_left", "tilt_rate_right", "tilt_rate_left")
 STATES = (*BODY, *POWER)
