@@ -214,16 +214,22 @@ def rows(folder: Path, system: dict[str, Any], loop: str, columns: Sequence[str]
     return columns, results.values[:, [results.columns.index(name) for name in columns]]
 
 
+def check_loops(folder: Path, system: dict[str, Any], loop: str) -> None:
+    """Check that a loop, that of Python and the policy of events have the same numbers."""
+    columns, first = rows(folder, system, loop)
+    _, in_python = rows(folder, system, ASKED, columns)
+    assert in_python.tobytes() == first.tobytes()
+    _, at_events = rows(folder, beside(system, "clocked.fmu"), "Python: event mode", columns)
+    assert at_events == pytest.approx(first, rel=1e-12, abs=1e-12)
+
+
 @pytest.mark.parametrize("seed", range(16))
 def test_c_and_python_give_the_same_bytes_and_events_the_same_numbers(folder: Path, seed: int) -> None:
     system = random_system(Random(seed))
+    check_loops(folder, system, "C")
     columns, in_c = rows(folder, system, "C")
-    _, in_python = rows(folder, system, ASKED, columns)
-    assert in_python.tobytes() == in_c.tobytes()
     _, beside_text = rows(folder, beside(system, "text.fmu"), "C", columns)
     assert beside_text.tobytes() == in_c.tobytes()
-    _, at_events = rows(folder, beside(system, "clocked.fmu"), "Python: event mode", columns)
-    assert at_events == pytest.approx(in_c, rel=1e-12, abs=1e-12)
 
 
 @pytest.mark.parametrize("seed", range(16, 24))
@@ -242,11 +248,7 @@ def test_blocks_that_only_python_steps_and_loops_have_the_same_numbers_from_even
         {"from": "a.y0", "to": "b.u0"},
         {"from": "b.y0", "to": "a.u0"},
     ]
-    columns, equal = rows(folder, system, "C, but in Python: ")
-    _, in_python = rows(folder, system, ASKED, columns)
-    assert in_python.tobytes() == equal.tobytes()
-    _, at_events = rows(folder, beside(system, "clocked.fmu"), "Python: event mode", columns)
-    assert at_events == pytest.approx(equal, rel=1e-12, abs=1e-12)
+    check_loops(folder, system, "C, but in Python: ")
 
 
 @pytest.mark.parametrize("seed", range(24, 30))
