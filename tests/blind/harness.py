@@ -202,6 +202,8 @@ def seeds(suite: str, count: int, first: int, only: Iterable[str]) -> list[int]:
     """Return `count` consecutive seeds from `first`; with `only`, those with such a kind, plant, way or truth."""
     if not only:
         return list(range(first, first + count))
+    if suite not in QUICK:
+        return []
 
     def wanted(seed: int) -> bool:
         known = QUICK[suite](seed)
