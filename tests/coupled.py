@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
+from typing import Any
 
 from tests.compiled import library, pack, rewritten
 from tests.corpus.inputs import FMU_SOURCES
@@ -14,6 +15,15 @@ TRUCK = {  # a quarter of a truck over a bump of 0.1 m and 0.1 s; chassis, wheel
     CHASSIS: {"p0": 400.0},
     WHEEL: {"p0": 40.0, "p1": 150e3, "p2": 15e3, "p3": 1e3, "p4": 0.1, "p5": 0.1},
 }
+
+
+def truck(folder: Path, **options: bool) -> tuple[dict[str, Any], list[str]]:
+    """Write the FMUs of a quarter truck; return its components and connections."""
+    laws = {"chassis": CHASSIS, "wheel": WHEEL}
+    for name, law in laws.items():
+        coupled_fmu(folder / f"{name}.fmu", law, **options)
+    components = {name: {"fmu": f"{name}.fmu", "start": TRUCK[law]} for name, law in laws.items()}
+    return components, ["chassis.y0 → wheel.u0", "wheel.y0 → chassis.u0"]
 
 
 def without_dependencies(path: Path) -> Path:

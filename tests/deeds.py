@@ -12,9 +12,8 @@ from pathlib import Path
 import pytest
 
 from cosim.fmi.native.compiler import compiler
+from tests.corpus.inputs import FMU_SOURCES
 
-SOURCE = Path(__file__).with_name("deeds.c")
-LINUX = ("Linux", "x86_64")
 PLATFORM = {"Linux": ("linux64", ".so"), "Darwin": ("darwin64", ".dylib")}.get(platform.system())
 DESCRIPTION = """<?xml version="1.0" encoding="UTF-8"?>
 <fmiModelDescription fmiVersion="2.0" modelName="deeds" guid="{{deeds}}" generationTool="tests">
@@ -32,14 +31,15 @@ DESCRIPTION = """<?xml version="1.0" encoding="UTF-8"?>
 
 
 @cache
-def compiled(source: Path, *options: str, elsewhere: bool = False) -> Path:
-    """Return the library of a source file, for Linux or elsewhere too; skip the test without a compiler."""
+def library() -> Path:
+    """Return the library, for Linux and macOS; skip the test without a compiler."""
     command = compiler()
-    if command is None or PLATFORM is None or not (elsewhere or (platform.system(), platform.machine()) == LINUX):
+    if command is None or PLATFORM is None:
         pytest.skip("no C compiler for this platform")
-    made = Path(tempfile.mkdtemp(prefix="compiled-")) / source.with_suffix(PLATFORM[1]).name
+    made = Path(tempfile.mkdtemp(prefix="deeds-")) / f"deeds{PLATFORM[1]}"
     # without -lm: some exporters leave libm to the host
-    subprocess.run([*command, "-w", "-shared", "-fPIC", *options, "-o", str(made), str(source), "-ldl"], check=True)
+    flags = ["-w", "-shared", "-fPIC", "-O0", "-o", str(made)]
+    subprocess.run([*command, *flags, str(FMU_SOURCES / "deeds.c"), "-ldl"], check=True)
     return made
 
 
@@ -54,7 +54,7 @@ def description(signals: int) -> str:
 
 def deeds_fmu(path: Path, call: str = "none", deed: str = "none", at: int = 1, signals: int = 2) -> Path:
     """Return an FMU that does `deed` at the n-th `call`, or at every call for n = 0."""
-    binary = compiled(SOURCE, "-O0", elsewhere=True)
+    binary = library()
     assert PLATFORM is not None
     with zipfile.ZipFile(path, "w") as archive:
         archive.writestr("modelDescription.xml", description(signals))

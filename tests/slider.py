@@ -54,3 +54,11 @@ def slider_log(
     for name, sigma in zip(("position", "velocity"), noise, strict=True):
         columns[name] = columns[name] + sigma * rng.standard_normal(columns[name].size)
     return write_log(path, {n: v for n, v in columns.items() if n in {"time", "force", *outputs}})
+
+
+def slider_bench(folder: Path) -> Path:
+    """Write the FMU and three logs; return their folder."""
+    slider_fmu(folder / "slider.fmu")
+    for seed, name in enumerate(("a.csv", "b.csv", "c.csv"), 1):
+        slider_log(folder / name, seed=seed, start=(0.3 - 0.2 * seed, 0.1 * seed - 0.4), seconds=15.0)
+    return folder

@@ -7,12 +7,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from typer.testing import CliRunner
 
 from cosim.core.version import __version__
 from cosim.files.results import read_results
-from cosim.verbs.cli import command_line
-from tests.test_first_steps import told
+from tests.test_first_steps import invoked, told
 
 
 @pytest.fixture
@@ -29,10 +27,6 @@ def _write(folder: Path, **record: Any) -> None:
     (folder / "results.csv").write_text("time,a.x\n0.0,0.0\n0.5,0.25\n1.0,0.125\n")
     about = {"schema_version": 1, "cosim_version": __version__, "scenario": {"name": folder.name}, "rows": 3}
     (folder / "manifest.json").write_text(json.dumps({**about, **record}))
-
-
-def _invoke(*words: str) -> Any:
-    return CliRunner().invoke(command_line(), [*words])
 
 
 @pytest.mark.parametrize(
@@ -57,7 +51,7 @@ def test_a_value_of_the_wrong_type_in_a_record_is_named_and_the_rest_goes_on(
         "open two --no-browser",
         "compare one two --no-report --out o",
     ):
-        done = _invoke(*words.split())
+        done = invoked(*words.split())
         assert done.exit_code == 0, (words, done.exception)
         (line,) = [line for line in done.stderr.splitlines() if "two/manifest.json" in line and "is not used" in line]
         assert says in line
@@ -75,17 +69,17 @@ def test_a_run_says_how_many_rows_it_wrote(tmp_path: Path, monkeypatch: pytest.M
     assert record["rows"] == read_results(Path("results/s/0001/results.csv")).time.size == 11
     del record["schema_version"]
     file.write_text(json.dumps(record))
-    assert _invoke("run", str(file), "--in-process", "--no-report", "--out", "again").exit_code == 0
+    assert invoked("run", str(file), "--in-process", "--no-report", "--out", "again").exit_code == 0
 
 
 def test_results_of_another_version_are_marked(root: Path) -> None:
-    assert "of cosim" not in _invoke("list").stdout
+    assert "of cosim" not in invoked("list").stdout
     _write(root / "two", cosim_version="99.0")
     _write(root / "three", cosim_version="99.1", schema_version=99)
-    assert "of cosim" in _invoke("list").stdout
-    marks = {row["name"]: row["other_version"] for row in json.loads(_invoke("list", "--json").stdout)["results"]}
+    assert "of cosim" in invoked("list").stdout
+    marks = {row["name"]: row["other_version"] for row in json.loads(invoked("list", "--json").stdout)["results"]}
     assert marks == {"one": None, "two": "99.0", "three": "99.1 (schema 99)"}
-    said = _invoke("compare", "one", "two", "--no-report").stderr
+    said = invoked("compare", "one", "two", "--no-report").stderr
     assert f"note: results/two/manifest.json was written by cosim 99.0, and this is {__version__}" in said
     (root / "three" / "report.html").write_text("<html>")
-    assert "has the schema version 99, written by cosim 99.1" in _invoke("open", "three", "--no-browser").stderr
+    assert "has the schema version 99, written by cosim 99.1" in invoked("open", "three", "--no-browser").stderr

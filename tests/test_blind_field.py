@@ -12,16 +12,14 @@ from cosim.fmi.building.file import load_model
 from cosim.model import Model, Stepper
 from tests.blind.field_recorder import Recorder
 from tests.blind.field_rig import Arrays, Floats, Rig, Run
-from tests.blind.field_study import DISTURBANCES, PLANTS, RIGS, Study
-from tests.blind.field_write import PLANTS as FOLDER
-from tests.blind.field_write import recorded, true_error, write
+from tests.blind.field_study import DISTURBANCES, MODELS, PLANTS, RIGS, Study, recorded, true_error, write
 
 OWN = [name for name in PLANTS if name != "craft"]
 CASES = [(name, effect) for name in OWN for effect in ["base", *(set(RIGS[name].entries) - set(RIGS[name].sensors))]]
 
 
 def model_of(rig: Rig) -> Model:
-    return load_model(f"{rig.name}.py:{rig.model}", FOLDER).model
+    return load_model(f"{rig.name}.py:{rig.model}", MODELS).model
 
 
 @pytest.mark.parametrize("name", OWN)

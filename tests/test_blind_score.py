@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from tests.blind import baseline, field_study, fmu_study, harness, score, truth
+from tests.blind import baseline, harness, score, truth
 from tests.blind.field_rig import flat
 from tests.blind.truth import BASE, SENSORS
 
@@ -84,9 +84,8 @@ def test_wilson_intervals_are_those_of_the_literature() -> None:
 
 
 def test_seeds_draw_the_frozen_studies() -> None:
-    draws: dict[str, Any] = {score.LABORATORY: truth.draw, score.FIELD: field_study.deal, score.FMU: fmu_study.deal}
-    for line in (line for line in harness.read(baseline.LINES).values() if line["suite"] in draws):
-        drawn = vars(draws[line["suite"]](line["seed"]))
+    for line in (line for line in harness.read(baseline.LINES).values() if line["suite"] in harness.QUICK):
+        drawn = harness.QUICK[line["suite"]](line["seed"])
         same = {"kind", "plant", "way", "version", "size", "disturbance", "disturbed"} & drawn.keys() & line.keys()
         assert {key: drawn[key] for key in same} == {key: line[key] for key in same}
         if "truth" in drawn:  # of the field and of FMUs it takes seconds

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import signal
 import subprocess
 import sys
@@ -14,11 +13,9 @@ import pytest
 from cosim.core.errors import InputError
 from cosim.verbs.checks import check as check_files
 from cosim.verbs.cli import entry
-from tests.conftest import ROOT
 from tests.deeds import deeds_fmu
 from tests.logs import times, write_log
-
-ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT)}
+from tests.users import ENVIRONMENT
 
 
 @pytest.mark.thorough
@@ -145,7 +142,7 @@ def test_a_shell_completes_verbs_options_runs_and_kinds(tmp_path: Path, line: st
     done = subprocess.run(
         [Path(sys.executable).with_name("cosim")],
         cwd=tmp_path,
-        env={**os.environ, **asked, "PYTHONPATH": str(ROOT)},
+        env=ENVIRONMENT | asked,
         capture_output=True,
         text=True,
         check=True,

@@ -24,17 +24,13 @@ from cosim.master.master import simulate
 from cosim.master.own_process import in_own_processes
 from cosim.scenario.scenario_file import ScenarioFile
 from cosim.system.system import build_system
-from tests.coupled import CHASSIS, LINEAR, TRUCK, WHEEL, coupled_fmu
+from tests.coupled import LINEAR, coupled_fmu, truck
 from tests.instants import CONSTANT, instants_fmu
 from tests.test_event_mode import RISES, scenario
 from tests.walker import walker_fmu
 
 TICKS = {"fmu": "clocked.fmu", "start": {"level": 9.0}}
 LOOP = ("a.y0 → b.u0", "b.y0 → a.u0")
-TRUCK_OF_TWO = (
-    {name: {"fmu": f"{name}.fmu", "start": TRUCK[law]} for name, law in (("chassis", CHASSIS), ("wheel", WHEEL))},
-    ("chassis.y0 → wheel.u0", "wheel.y0 → chassis.u0"),
-)
 
 
 def linear(a: dict[str, float], b: dict[str, float]) -> dict[str, Any]:
@@ -56,8 +52,6 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (place / "recording.csv").write_text(f"time,w,v\n{rows}")
     instants_fmu(place / "scheduled.fmu", CONSTANT, scheduled=True)
     coupled_fmu(place / "exchange.fmu", LINEAR, exchange=True)
-    coupled_fmu(place / "chassis.fmu", CHASSIS)
-    coupled_fmu(place / "wheel.fmu", WHEEL)
     return place
 
 
@@ -94,7 +88,7 @@ def test_fmus_with_event_mode_in_processes_of_their_own_have_the_same_bytes(fold
 
 
 def test_states_are_taken_back_in_a_process_of_its_own(folder: Path) -> None:
-    file = scenario(folder, *TRUCK_OF_TWO, duration=1.12, step={"max": 0.02, "min": 1e-4, "tolerance": 1e-3})
+    file = scenario(folder, *truck(folder), duration=1.12, step={"max": 0.02, "min": 1e-4, "tolerance": 1e-3})
     here = ran(file)
     assert here.details["steps"]["estimator"] == "halving"
     assert here.details["steps"]["rejected"] > 0
@@ -128,7 +122,7 @@ def test_what_does_not_go_with_event_mode_is_refused(folder: Path) -> None:
 
 
 def test_steps_are_controlled_between_events(folder: Path) -> None:
-    components, wires = TRUCK_OF_TWO
+    components, wires = truck(folder)
     equal = ran(scenario(folder, components, wires, duration=2, step=1e-4, record=["chassis.y0", "wheel.y0"]))
     step = {"max": 0.02, "min": 1e-4, "rows": 0.1, "tolerance": 1e-2}
     file = scenario(folder, components | {"r": RISES, "c": TICKS}, wires, duration=2, step=step)
@@ -220,16 +214,22 @@ def rows(folder: Path, system: dict[str, Any], loop: str, columns: Sequence[str]
     return columns, results.values[:, [results.columns.index(name) for name in columns]]
 
 
+def check_loops(folder: Path, system: dict[str, Any], loop: str) -> None:
+    """Check that a loop, that of Python and the policy of events have the same numbers."""
+    columns, first = rows(folder, system, loop)
+    _, in_python = rows(folder, system, ASKED, columns)
+    assert in_python.tobytes() == first.tobytes()
+    _, at_events = rows(folder, beside(system, "clocked.fmu"), "Python: event mode", columns)
+    assert at_events == pytest.approx(first, rel=1e-12, abs=1e-12)
+
+
 @pytest.mark.parametrize("seed", range(16))
 def test_c_and_python_give_the_same_bytes_and_events_the_same_numbers(folder: Path, seed: int) -> None:
     system = random_system(Random(seed))
+    check_loops(folder, system, "C")
     columns, in_c = rows(folder, system, "C")
-    _, in_python = rows(folder, system, ASKED, columns)
-    assert in_python.tobytes() == in_c.tobytes()
     _, beside_text = rows(folder, beside(system, "text.fmu"), "C", columns)
     assert beside_text.tobytes() == in_c.tobytes()
-    _, at_events = rows(folder, beside(system, "clocked.fmu"), "Python: event mode", columns)
-    assert at_events == pytest.approx(in_c, rel=1e-12, abs=1e-12)
 
 
 @pytest.mark.parametrize("seed", range(16, 24))
@@ -248,11 +248,7 @@ def test_blocks_that_only_python_steps_and_loops_have_the_same_numbers_from_even
         {"from": "a.y0", "to": "b.u0"},
         {"from": "b.y0", "to": "a.u0"},
     ]
-    columns, equal = rows(folder, system, "C, but in Python: ")
-    _, in_python = rows(folder, system, ASKED, columns)
-    assert in_python.tobytes() == equal.tobytes()
-    _, at_events = rows(folder, beside(system, "clocked.fmu"), "Python: event mode", columns)
-    assert at_events == pytest.approx(equal, rel=1e-12, abs=1e-12)
+    check_loops(folder, system, "C, but in Python: ")
 
 
 @pytest.mark.parametrize("seed", range(24, 30))

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
 import cosim
 from cosim.comparison.differences import Compared, compare_runs
@@ -17,8 +16,7 @@ from cosim.comparison.several import ComparedRuns
 from cosim.core.errors import CriterionMissed, InputError
 from cosim.files.results import Results
 from cosim.simulation.run_signals import RecordedRun
-from cosim.verbs.cli import command_line
-from tests.test_first_steps import told
+from tests.test_first_steps import invoked, told
 
 TIME = np.linspace(0, 1, 101)
 EPS = float(np.finfo(float).eps)
@@ -182,7 +180,7 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def _invoke(*words: str) -> Any:
-    return CliRunner().invoke(command_line(), ["compare", *words])
+    return invoked("compare", *words)
 
 
 def test_the_command_compares_runs_of_a_pattern(runs: Path, monkeypatch: pytest.MonkeyPatch) -> None:

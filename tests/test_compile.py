@@ -9,15 +9,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
 import cosim
 from cosim.core.errors import FmuError, InputError
 from cosim.fmi.native.compiler import compiler
-from cosim.verbs.cli import command_line
 from tests.bounce1 import SOURCE, bounce_fmu
 from tests.compiled import library, pack
 from tests.corpus.inputs import FMU_SOURCES
+from tests.test_first_steps import told
 from tests.typed import typed_text
 
 
@@ -97,12 +96,11 @@ def test_every_verb_that_runs_an_fmu_compiles_it_also_of_fmi_1(
         "linearize x.fmu --compile --out linear --no-report",
         "simulate built/x.fmu --out twin --no-report",
     ):
-        result = CliRunner().invoke(command_line(), words.split())
-        assert result.exit_code == 0, (words, result.output, result.exception)
+        told(*words.split())
     assert compiled() == 1
     rows = [(tmp_path / name / "results.csv").read_text().splitlines()[1:] for name in ("alone", "here", "twin")]
     assert rows[0] == rows[1] == rows[2]
-    assert json.loads(CliRunner().invoke(command_line(), ["info", "x.fmu", "--json"]).output)["runs_here"] is False
+    assert json.loads(told("info", "x.fmu", "--json"))["runs_here"] is False
     linear = json.loads((tmp_path / "linear" / "linear.json").read_text())
     assert linear["states"] == ["h", "v"]  # by their value references, and not an alias of the other sign
     assert np.array(linear["models"][0]["A"]) == pytest.approx(np.array([[0, 1], [0, 0]]), abs=1e-6)

@@ -10,11 +10,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from typer.testing import CliRunner
 
 from controller.consistency import CASES, Consistency, FlightCase, consistency, consistency_of, squares_of
 from cosim.core.errors import InputError
-from cosim.verbs.cli import command_line
+from tests.test_first_steps import told
 
 
 def test_chi_squares_are_consistent_and_scaled_ones_are_told_by_how_much() -> None:
@@ -89,8 +88,8 @@ def test_elsewhere_it_is_said_which_way_an_estimator_is_wrong(plant: str, estima
 
 @pytest.mark.thorough
 def test_the_command_prints_every_case_with_its_verdict_and_leaves_a_page(tmp_path: Path) -> None:
-    asked = ["consistency", "--runs", "2", "--steps", "100", "--json", "--out", str(tmp_path / "new" / "folder")]
-    rows = json.loads(CliRunner().invoke(command_line(), asked).output)
+    asked = ["--runs", "2", "--steps", "100", "--json", "--out", tmp_path / "new" / "folder"]
+    rows = json.loads(told("consistency", *asked))
     assert {r["case"] for r in rows} == {c.title for c in CASES}
     text = html.unescape((tmp_path / "new" / "folder" / "report.html").read_text())
     assert text.count("data-chart") >= len(rows)  # a chart each
@@ -99,8 +98,7 @@ def test_the_command_prints_every_case_with_its_verdict_and_leaves_a_page(tmp_pa
 
 def test_too_few_or_too_many_runs_are_refused_before_a_folder_is_made(tmp_path: Path) -> None:
     for asked in ("--runs=1", "--runs=1000000000", "--steps=1000000000"):
-        done = CliRunner().invoke(command_line(), ["consistency", asked, "--out", str(tmp_path / "new")])
-        assert getattr(done.exception, "exit_code", done.exit_code) == 2
+        told("consistency", asked, "--out", tmp_path / "new", code=2)
         assert not (tmp_path / "new").exists()
     with pytest.raises(InputError, match=r"runs: is 1; .* 2\b.*\nsteps: is 50; .* 100\b"):
         consistency(1, 50)

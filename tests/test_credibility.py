@@ -27,7 +27,7 @@ from cosim.credibility.region import Stretch, distances, region_of
 from cosim.verbs.checks import schema_of
 from tests.cases import some
 from tests.logs import write_log
-from tests.slider import slider_fmu, slider_log
+from tests.slider import slider_bench, slider_fmu, slider_log
 from tests.test_first_steps import told
 
 SCHEMAS = Path(__file__).parent / "data" / "ssp_traceability"
@@ -153,10 +153,7 @@ VARY: dict[str, Any] = {"vary": ["mass", "damping"], "start": {"gain": 2.0}}
 @pytest.fixture(scope="module")
 def bench(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Logs of a slider, its FMU, and the FMU fitted to two logs in `out`; the third log is sealed."""
-    folder = tmp_path_factory.mktemp("credible")
-    slider_fmu(folder / "slider.fmu")
-    for seed, name in enumerate(("a.csv", "b.csv", "c.csv"), 1):
-        slider_log(folder / name, seed=seed, start=(0.3 - 0.2 * seed, 0.1 * seed - 0.4), seconds=15.0)
+    folder = slider_bench(tmp_path_factory.mktemp("credible"))
     logs = [folder / "a.csv", folder / "b.csv"]
     cosim.fit(logs, folder / "slider.fmu", out=folder / "out", sealed=[folder / "c.csv"], **VARY, **QUICK)
     return folder

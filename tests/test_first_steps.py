@@ -25,9 +25,14 @@ EXPERIMENT: Any = '<DefaultExperiment tolerance="0.003"/>'
 RUNS: Any = '<DefaultExperiment startTime="0" stopTime="2" stepSize="0.5"/>'
 
 
-def told(*arguments: str | Path, code: int = 0) -> str:
+def invoked(*arguments: object) -> Any:
+    """Return the outcome of a command in this process."""
+    return CliRunner().invoke(command_line(), [*map(str, arguments)])
+
+
+def told(*arguments: object, code: int = 0) -> str:
     """What a command says on stdout, or of what is wrong, with its exit code."""
-    done = CliRunner().invoke(command_line(), [str(a) for a in arguments])
+    done = invoked(*arguments)
     if isinstance(done.exception, CosimError):
         assert done.exception.exit_code == code, done.exception
         return str(done.exception)

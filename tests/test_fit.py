@@ -21,7 +21,7 @@ from cosim.files.results import read_results
 from cosim.verbs.checks import schema_of
 from tests.cases import some
 from tests.logs import write_log
-from tests.slider import TRUTH, slide, slider_fmu, slider_log
+from tests.slider import TRUTH, slide, slider_bench, slider_fmu, slider_log
 
 QUICK: dict[str, Any] = {"in_process": True, "report": False}
 
@@ -29,11 +29,7 @@ QUICK: dict[str, Any] = {"in_process": True, "report": False}
 @pytest.fixture(scope="module")
 def bench(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with the FMU and three logs."""
-    folder = tmp_path_factory.mktemp("bench")
-    slider_fmu(folder / "slider.fmu")
-    for seed, name in enumerate(("a.csv", "b.csv", "c.csv"), 1):
-        slider_log(folder / name, seed=seed, start=(0.3 - 0.2 * seed, 0.1 * seed - 0.4), seconds=15.0)
-    return folder
+    return slider_bench(tmp_path_factory.mktemp("bench"))
 
 
 def fit_one(bench: Path, **more: Any) -> Any:

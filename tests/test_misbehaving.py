@@ -27,16 +27,15 @@ from cosim.residuals.workflow import replay
 from cosim.simulation.workflow import run
 from cosim.verbs.checks import check as check_files
 from tests.cases import some
-from tests.conftest import ROOT
 from tests.deeds import deeds_fmu, deeds_scenario
 from tests.full_disk import full_disk
 from tests.logs import write_log
+from tests.users import ENVIRONMENT
 from tests.warm import cosim
 
 LIMITS = "{step: 300 ms, load: 2 s, memory: 500 MB}"
 LARGE = "{memory: 300 MB}"
 LINUX = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="crashes, processes and signals as on Linux")
-ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT)}
 # call, deed, its number, limits → message, exit code, fewest and most rows
 STOPS = [
     ("DoStep", "segfault", 5, "", "at t = 0.4 s: fmi2DoStep crashed: .*SIGSEGV", 4, 5, 5),

@@ -8,14 +8,13 @@ import sys
 from pathlib import Path
 
 import pytest
-from typer.testing import CliRunner
 
 from cosim.core.errors import Fault, InputError
 from cosim.experiment.rigs import inputs_to_limit
 from cosim.fmi.building.file import own_model, read_model
 from cosim.verbs.checks import check as check_files
-from cosim.verbs.cli import command_line
 from tests.table import TABLE
+from tests.test_first_steps import invoked
 
 FORCED = 'forced = ("rate",)'
 CATALOGUE = "catalogue = (DryFriction,)"
@@ -203,9 +202,8 @@ def test_a_model_yaml_with_something_wrong(tmp_path: Path, text: str, place: tup
 
 def test_a_study_in_place_of_a_model_is_refused_by_its_kind(tmp_path: Path) -> None:
     (study := tmp_path / "study.yaml").write_text("logs: {estimation: [a.csv]}\n")
-    out = ["--out", str(tmp_path / "out")]
-    for call in (["excite", str(study), *out], ["build", "--model", str(study), *out]):
-        refused = CliRunner().invoke(command_line(), call).exception
+    for call in (["excite", study], ["build", "--model", study]):
+        refused = invoked(*call, "--out", tmp_path / "out").exception
         assert isinstance(refused, InputError)
         (fault,) = refused.faults
         assert (fault.file, refused.exit_code) == (study, 2)

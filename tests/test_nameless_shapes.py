@@ -18,7 +18,7 @@ from cosim.logs.log import read_log
 from cosim.model import Equations, Model, Namespace, Quantity, parameter
 from cosim.refinement.search.fits import Search
 from cosim.refinement.search.unnamed import Leftover, find_unnamed_terms
-from tests.blind import coupled
+from tests import pendulums
 from tests.logs import write_log
 
 STEP, ROWS, NOISE = 0.02, 900, 5e-4
@@ -150,7 +150,7 @@ BESIDE = "ambiguous: a square law at the torque beside it, 58 %"
 def test_an_effect_inside_a_stepped_fmu_is_no_wrong_parameter(
     tmp_path: Path, case: str, verdict: str, signals: list[str]
 ) -> None:
-    coupled.write(tmp_path, case, 2, "co_simulation")
+    pendulums.write(tmp_path, case, 2, "co_simulation")
     found = cosim.refine(tmp_path / "study.yaml", out=tmp_path / "refined", report=False)
     answer = json.loads((tmp_path / "refined" / "refine.json").read_text(encoding="utf-8"))
     assert found.verdict == answer["verdict"] == verdict

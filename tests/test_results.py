@@ -17,17 +17,15 @@ import pytest
 
 import cosim
 from cosim.core.errors import InputError
-from tests.conftest import ROOT
 from tests.deeds import deeds_scenario
 from tests.test_first_steps import told
 from tests.test_verbs import desk as desk
-from tests.users import command
+from tests.users import ENVIRONMENT, command
 
 SCENARIO = "name: tank\nduration: 1\nstep: 0.1\ncomponents:\n  ref: {block: reference, signals: {x: {start: 1}}}\n"
 START = "components.ref.signals.x.start={}"
 FILES = ["manifest.json", "results.csv"]
 SOON = 60.0  # [s]
-ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT)}  # of a command
 
 
 def do(*words: object, code: int = 0) -> str:

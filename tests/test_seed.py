@@ -15,13 +15,11 @@ import numpy as np
 import pytest
 from ruamel.yaml import YAML
 from scipy.optimize import brentq
-from typer.testing import CliRunner
 
 from controller.design_model import design_model
 from controller.settings import PredictiveSettings, Settings
 from cosim.linearization.workflow import linearize
 from cosim.model import SCALAR
-from cosim.verbs.cli import command_line
 from plant.bench import Bench
 from plant.hovercraft import Hovercraft
 from plant.identification.protocol import read_protocol
@@ -29,6 +27,7 @@ from plant.identification.recordings import calibrate, load_runs, play, runs_of
 from plant.identification.workflow import analyse
 from plant.powertrain import ground_effect, lag, servo_angle, thrust_out_of_ground
 from tests.conftest import ROOT
+from tests.test_first_steps import told
 
 PAGE = ROOT / "docs" / "seed.md"
 BENCH = ROOT / "examples" / "bench" / "protocol.yaml"
@@ -38,9 +37,9 @@ def test_commands_that_linearise_show_the_numbers_of_their_rows(tmp_path: Path) 
     def linear(row: str, matrix: str) -> tuple[dict[str, Any], Any]:
         """What the command of a row of the page's list prints, and a matrix of it."""
         (command,) = re.findall(rf"^\| {row} \|.*\| `cosim (.*)` \|$", PAGE.read_text(encoding="utf-8"), re.MULTILINE)
-        words = [*shlex.split(command), "--json", "--no-report", "--out", str(tmp_path / matrix)]
-        told = json.loads(CliRunner().invoke(command_line(), words).output)
-        return told, np.array(told["models"][0][matrix])
+        words = [*shlex.split(command), "--json", "--no-report", "--out", tmp_path / matrix]
+        found = json.loads(told(*words))
+        return found, np.array(found["models"][0][matrix])
 
     bench, C = linear("4.1–4.8", "C")
     gain = 1.0 / (1.0 - (0.127 / (4 * 0.095)) ** 1.902)  # eq 4.28

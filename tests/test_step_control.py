@@ -9,42 +9,31 @@ import pytest
 
 from cosim.core.errors import InputError, SimulationError
 from cosim.simulation.workflow import run
-from tests.coupled import CHASSIS, LINEAR, TRUCK, WHEEL, coupled_fmu
+from tests.coupled import LINEAR, WHEEL, coupled_fmu, truck
 
 HALVING = "step: {max: 20 ms, min: 0.1 ms, tolerance: 1e-4}\n"
 
 
-def truck(folder: Path, **options: Any) -> Path:
-    """Build the FMUs of a quarter truck; return the folder."""
-    coupled_fmu(folder / "chassis.fmu", CHASSIS, **options)
-    coupled_fmu(folder / "wheel.fmu", WHEEL, **options)
-    return folder
-
-
-def ran(folder: Path, step: str, seconds: float) -> Any:
-    """Run the truck; return its manifest."""
-    components = "".join(
-        f"  {name}: {{fmu: {name}.fmu, start: {TRUCK[law]}}}\n"
-        for name, law in (("chassis", CHASSIS), ("wheel", WHEEL))
-    )
+def ran(folder: Path, step: str, seconds: float, **wheel: bool) -> Any:
+    """Run the truck with a wheel of these options; return its manifest."""
+    components, _ = truck(folder)
+    coupled_fmu(folder / "wheel.fmu", WHEEL, **wheel)
     ends = "connections: [{from: chassis.y0, to: wheel.u0}, {from: wheel.y0, to: chassis.u0}]\n"
     file = folder / "truck.yaml"
-    file.write_text(f"name: truck\nduration: {seconds:g}\n{step}components:\n{components}{ends}")
+    file.write_text(f"name: truck\nduration: {seconds:g}\n{step}components: {components}\n{ends}")
     return run(file, folder / "out", report=False, force=True, in_process=True).manifest
 
 
 def test_the_estimator_follows_from_what_the_fmus_can_do(tmp_path: Path) -> None:
-    truck(tmp_path)
-    coupled_fmu(tmp_path / "wheel.fmu", WHEEL, saves=False)
-    manifest = ran(tmp_path, HALVING, seconds=0.1)
+    manifest = ran(tmp_path, HALVING, seconds=0.1, saves=False)
     assert manifest["steps"]["estimator"] == "residual"
     with pytest.raises(InputError, match=r"truck\.yaml:3:.*wheel cannot save its state"):
-        ran(tmp_path, HALVING.replace("1e-4", "1e-4, estimator: halving"), seconds=0.1)
+        ran(tmp_path, HALVING.replace("1e-4", "1e-4, estimator: halving"), seconds=0.1, saves=False)
 
 
 def test_no_step_is_shorter_than_the_minimum(tmp_path: Path) -> None:
     """Where min divides no interval between rows, too."""
-    manifest = ran(truck(tmp_path), "step: {max: 20 ms, min: 11 ms, tolerance: 1e-6}\n", seconds=1.5)
+    manifest = ran(tmp_path, "step: {max: 20 ms, min: 11 ms, tolerance: 1e-6}\n", seconds=1.5)
     assert manifest["steps"]["sizes"]["0 %"] >= 0.011
     manifest = ran(tmp_path, "step: {max: 20 ms, min: 3 ms, rows: 25 ms, tolerance: 1e-6}\n", seconds=1.5)
     assert manifest["steps"]["sizes"]["0 %"] >= 0.003
@@ -85,7 +74,7 @@ def test_components_with_a_step_of_their_own_step_at_rows(tmp_path: Path) -> Non
 )
 def test_keys_that_contradict_each_other_are_named(step: str, words: str, tmp_path: Path) -> None:
     with pytest.raises(InputError, match=words):
-        ran(truck(tmp_path), f"step: {step}\n", seconds=0.1)
+        ran(tmp_path, f"step: {step}\n", seconds=0.1)
 
 
 def test_an_fmu_that_does_not_restore_its_state_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -93,4 +82,4 @@ def test_an_fmu_that_does_not_restore_its_state_is_named(tmp_path: Path, monkeyp
 
     monkeypatch.setattr(FmuBlock, "restore_state", lambda self, state, keep=False: None)
     with pytest.raises(SimulationError, match=r"(chassis|wheel) at .* its outputs differ after a saved state"):
-        ran(truck(tmp_path), HALVING.replace("min: 0.1 ms", "min: 20 ms"), seconds=1.2)
+        ran(tmp_path, HALVING.replace("min: 0.1 ms", "min: 20 ms"), seconds=1.2)

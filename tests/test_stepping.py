@@ -19,7 +19,7 @@ from cosim.master.master import StoppedRun, simulate
 from cosim.scenario.scenario_file import ScenarioFile
 from cosim.system.system import build_system
 from tests.conftest import ROOT
-from tests.coupled import CHASSIS, TRUCK, WHEEL, coupled_fmu
+from tests.coupled import truck
 from tests.deeds import deeds_fmu, deeds_scenario
 from tests.known.kit import Model
 from tests.lag import lag_fmu
@@ -52,6 +52,11 @@ def stopped(file: ScenarioFile) -> tuple[str, Results, list[str]]:
         found.append((how, results.columns, results.time.tobytes(), results.values.tobytes(), results.exact, said))
     assert found[0] == found[1]
     return how, results, said
+
+
+def both(file: ScenarioFile) -> list[Results]:
+    """Return the results of the loop in C and in Python."""
+    return [simulate(build_system(file), file.scenario.steps, file.scenario.step, in_c=in_c) for in_c in (True, False)]
 
 
 def same(folder: Path, *content: Any, **more: Any) -> Results:
@@ -156,9 +161,7 @@ def test_text_is_the_same_beside_inputs_with_courses(tmp_path: Path) -> None:
     components = {m.name: {"fmu": str(m.fmu(3))} for m in (source, sink)}
     wires = ["source.y → sink.u", "source.mode → sink.s"]
     file = scenario(tmp_path, components, wires, algorithm="gauss-seidel", interpolate="linear", order=[*components])
-    usual, plain = (
-        simulate(build_system(file), file.scenario.steps, file.scenario.step, in_c=in_c) for in_c in (True, False)
-    )
+    usual, plain = both(file)
     assert usual.values.tobytes() == plain.values.tobytes()
     assert usual.exact == plain.exact
     assert plain.exact["sink.so"][-1] == "late"
@@ -190,15 +193,6 @@ def test_ctrl_c_in_process_is_seen_within_seconds_and_leaves_the_rows(tmp_path: 
     assert isinstance(end.value.error, Interrupted)
     assert end.value.results.loop == "C"
     assert 1 < len(end.value.results.time) < steps
-
-
-def truck(folder: Path) -> tuple[dict[str, Any], list[str]]:
-    """Write the FMUs of a quarter truck; return components and connections."""
-    laws = {"chassis": CHASSIS, "wheel": WHEEL}
-    for name, law in laws.items():
-        coupled_fmu(folder / f"{name}.fmu", law)
-    components = {name: {"fmu": f"{name}.fmu", "start": TRUCK[law]} for name, law in laws.items()}
-    return components, ["chassis.y0 → wheel.u0", "wheel.y0 → chassis.u0"]
 
 
 @pytest.mark.parametrize(
@@ -235,10 +229,7 @@ def test_controlled_steps_are_the_same_bytes(tmp_path: Path, estimator: str, cou
     step |= {"bonds": [{"effort": "wheel.y0", "flow": "chassis.y0"}]} if estimator == "energy" else {}
     more = {"algorithm": algorithm, "extrapolate": course, "interpolate": course}
     file = scenario(tmp_path, components, wires, duration=1.2, step=step, **more)
-    found = []
-    for in_c in (True, False):
-        results = simulate(build_system(file), file.scenario.steps, file.scenario.step, in_c=in_c)
-        found.append((results.values.tobytes(), results.details, results.notes))
+    found = [(results.values.tobytes(), results.details, results.notes) for results in both(file)]
     assert found[0] == found[1]
     assert found[0][1]["steps"]["accepted"] > 60
 
@@ -258,14 +249,10 @@ def test_python_steps_only_what_c_cannot(tmp_path: Path) -> None:
     }
     wires = ["a.x → b.F", "b.x → a.F", "g.y → h.u", "h.y → g.u", "g.y → old.F", "b.x → exchange.F", "a.x → fix.x"]
     file = scenario(tmp_path, components, wires, faults=[{"on": "old.F", "kind": "delay", "delay": 0.2}])
-    found = []
-    for in_c in (True, False):
-        results = simulate(build_system(file), file.scenario.steps, file.scenario.step, in_c=in_c)
-        found.append((results.values.tobytes(), results.details["loops"], results.notes))
-        if in_c:
-            in_python = results.details["in_python"]
-            assert results.loop.startswith("C, but in Python: ")
-            assert in_python["components"].keys() == {"g", "h", "exchange", "old", "fix"}
-            assert 0 < in_python["share"] <= 1
-    assert found[0] == found[1]
-    assert results["g.y"] == pytest.approx(1.25, rel=1e-7)
+    mixed, plain = both(file)
+    assert mixed.loop.startswith("C, but in Python: ")
+    assert mixed.details["in_python"]["components"].keys() == {"g", "h", "exchange", "old", "fix"}
+    assert 0 < mixed.details["in_python"]["share"] <= 1
+    assert mixed.values.tobytes() == plain.values.tobytes()
+    assert (mixed.details["loops"], mixed.notes) == (plain.details["loops"], plain.notes)
+    assert plain["g.y"] == pytest.approx(1.25, rel=1e-7)

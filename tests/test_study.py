@@ -7,14 +7,13 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from typer.testing import CliRunner
 
 from cosim.core.errors import InputError
 from cosim.files.yaml_file import REMOVED_KEYS
 from cosim.refinement.study import read_study
 from cosim.verbs.checks import check as check_files
-from cosim.verbs.cli import command_line
 from tests.tank import MODEL, tank_log
+from tests.test_first_steps import invoked
 
 
 @pytest.fixture(scope="module")
@@ -38,7 +37,7 @@ def told(folder: Path, files: dict[str, str], study: str) -> list[str]:
     assert refused.value.exit_code == 2
     with pytest.raises(InputError) as checked:
         check_files(path)
-    done = CliRunner().invoke(command_line(), ["refine", str(path), "--out", str(folder / "out")])
+    done = invoked("refine", path, "--out", folder / "out")
     assert isinstance(done.exception, InputError)
     assert done.exception.faults == checked.value.faults == refused.value.faults
     assert not (folder / "out").exists()

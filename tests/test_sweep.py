@@ -19,7 +19,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
 import cosim
 from cosim.core.errors import InputError, SweepFailed, SweepStopped
@@ -31,15 +30,14 @@ from cosim.sweeps.reading import read_sweep, repeat_command
 from cosim.sweeps.sampling import Factor, columns_of, distribution, sensitivity
 from cosim.sweeps.store import read_table, signal_of
 from cosim.sweeps.workflow import sweep
-from cosim.verbs.cli import command_line
 from tests.compiled import library, pack
-from tests.conftest import ROOT
 from tests.full_disk import full_disk
 from tests.known.kit import Model
 from tests.lag import DESCRIPTION as LAG
 from tests.tank import MODEL
+from tests.test_first_steps import invoked, told
+from tests.users import ENVIRONMENT
 
-ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT)}
 TABLE = "sweep.parquet"
 TANKS = """
 name: tanks
@@ -98,7 +96,7 @@ def swept(path: Path, out: str, **options: Any) -> Any:
 
 
 def exit_code(*words: object) -> int:
-    done = CliRunner().invoke(command_line(), [*map(str, words)])
+    done = invoked(*words)
     return int(getattr(done.exception, "exit_code", done.exit_code))
 
 
@@ -169,9 +167,7 @@ def test_a_name_whose_newest_results_are_a_sweep_is_viewed(
     study = swept(path, "results/tank/0002")
 
     def viewed() -> list[dict[str, Any]]:
-        done = CliRunner().invoke(command_line(), ["view", "tank", "--prepare", "--json"])
-        assert done.exit_code == 0, done.output
-        return list(json.loads(done.stdout)["runs"])
+        return list(json.loads(told("view", "tank", "--prepare", "--json"))["runs"])
 
     assert study.record["runs"] == 10
     assert [run["name"] for run in viewed()] == [f"tank/0002 run {k}" for k in range(10)]
@@ -304,8 +300,8 @@ def test_a_stopped_sweep_is_gone_on_with_and_its_table_is_that_of_one_that_was_n
             process.kill()
         else:
             os.killpg(process.pid, number)  # as a terminal does
-            told = process.communicate(timeout=100)[1]
-            assert (process.returncode, len(told.splitlines())) == (130, 1), told
+            _, said = process.communicate(timeout=100)
+            assert (process.returncode, len(said.splitlines())) == (130, 1), said
     kept = runs_in(folder)
     assert 6 <= kept < 24, "it was stopped on its way"
     assert swept(path, "out", resume=True).made == 24 - kept

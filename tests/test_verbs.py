@@ -6,7 +6,6 @@ A verb without --out writes to results/NAME/0001.
 from __future__ import annotations
 
 import json
-import os
 import shutil
 import subprocess
 import sys
@@ -18,9 +17,9 @@ import cosim
 from cosim.fmi.building.file import load_model
 from cosim.fmi.fmu_build import build
 from cosim.verbs import verbs
-from tests.conftest import ROOT
 from tests.tank import MODEL, tank_log
 from tests.test_identify_craft import at_rest, protocol
+from tests.users import ENVIRONMENT
 
 RUN = "name: tank\nduration: 1\nstep: 0.5\ncomponents: {tank: {fmu: tank.fmu}}\n"
 STUDY = "model: tank.py:Tank\ncandidates: [leak]\nlogs: {estimation: [e1.csv], validation: [v1.csv]}\n"
@@ -85,7 +84,7 @@ def test_a_verb_works_as_shipped(desk: Path, tmp_path: Path, verb: str) -> None:
     shutil.copytree(desk, folder)
     done = subprocess.run(
         [sys.executable, "-m", "cosim", verb, *words.split()], cwd=folder, capture_output=True, text=True,
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        env=ENVIRONMENT,
     )  # fmt: skip
     assert done.returncode == 0, done.stdout + done.stderr
     assert done.stdout

@@ -18,6 +18,7 @@ from tests.conftest import ROOT
 
 OTHER = 54321  # a user that is in no list of the machine
 PYTHONS = (sys.executable, *(f"{place}/python3.{sys.version_info.minor}" for place in ("/usr/bin", "/usr/local/bin")))
+ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT)}  # of a command
 PATH = os.pathsep.join([str(ROOT), *(entry for entry in sys.path if entry.endswith("site-packages"))])
 
 

@@ -5,8 +5,6 @@ round to 0.1 mrad, and measured torques are wrong by about 1 %. In five of six s
 the sixth none. The simulation uses nothing of the project; `least_squares` supplies an error for comparison.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import shutil
@@ -25,6 +23,7 @@ from tests.blind.field_rig import LOGS, Array, Random, base_numbers, csv, log_un
 
 PLANT = Path(__file__).with_name("plants") / "arm.py"
 STEP, ROWS, HORIZON = 0.005, 2000, 0.3  # [s], rows of a log, [s] of a prediction
+TIME = STEP * np.arange(ROWS)
 QUANTUM = 1e-4  # [rad] of the encoders
 CREEP = 0.02  # [rad/s]
 SHEET = {  # base number → (nominal, tolerance)
@@ -46,15 +45,7 @@ class ArmStudy:
     gains: tuple[float, float]
 
 
-@dataclass(frozen=True)
-class Log:
-    """Times, measured torques and encoder readings, with a row per sample."""
-
-    time: Array
-    torque: Array
-    angle: Array
-
-
+Log = tuple[Array, Array]  # measured torques and encoder readings, with a row per sample
 stream = partial(random_stream, 77261)
 
 
@@ -92,11 +83,10 @@ def _elastic(study: ArmStudy, x: Array, torque: Sequence[float]) -> list[float]:
 
 def _path(rng: Random) -> Array:
     """Return reference angles of both joints: six sines of different frequency around a posture."""
-    t = STEP * np.arange(ROWS)
     paths = []
     for centre, reach in ((rng.uniform(-0.8, 0.8), 0.9), (rng.uniform(-0.8, 0.8), 1.1)):
         frequency, phase = np.exp(rng.uniform(np.log(0.1), np.log(1.6), 6)), rng.uniform(0.0, 2.0 * math.pi, 6)
-        waves = (np.sin(2.0 * math.pi * np.outer(t, frequency) + phase) / np.sqrt(frequency)).sum(axis=1)
+        waves = (np.sin(2.0 * math.pi * np.outer(TIME, frequency) + phase) / np.sqrt(frequency)).sum(axis=1)
         paths.append(centre + reach * waves / np.max(np.abs(waves)))
     return np.column_stack(paths)
 
@@ -119,15 +109,14 @@ def record(study: ArmStudy, number: int) -> Log:
         torques[k] = torque = np.round(np.clip(torque, [-12.0, -4.0], [12.0, 4.0]), 5)
         done = solve_ivp(lambda t, y, u=torque: _elastic(study, y, u), (0.0, STEP), x, "DOP853", rtol=1e-8, atol=1e-9)
         x = done.y[:, -1]
-    return Log(STEP * np.arange(ROWS), torques * study.gains, angles)
+    return torques * study.gains, angles
 
 
 def write(study: ArmStudy, folder: Path) -> Path:
     """Write study.yaml, the model file and the logs; return the path of study.yaml."""
     logs = []
     for number in range(len(LOGS)):
-        log = record(study, number)
-        rows = np.column_stack([log.time, log.torque, log.angle])
+        rows = np.column_stack([TIME, *record(study, number)])
         logs.append(csv(["time", "torque_1", "torque_2", "angle_1", "angle_2"], (".7g", rows)))
     path = write_study(folder, "arm.py:Arm", logs)
     shutil.copyfile(PLANT, folder / "arm.py")
@@ -138,7 +127,7 @@ def answer(study: ArmStudy) -> str:
     """Return the answer as JSON, with the errors of the least-squares fits on the sealed log."""
     logs = [record(study, number) for number in range(3)]
     fits = {name: least_squares(logs[:2], dry=dry) for name, dry in (("without", False), ("with", True))}
-    sealed = {name: np.sqrt(np.mean(missed(values, logs[2]) ** 2, axis=0)).tolist() for name, values in fits.items()}
+    sealed = {name: np.sqrt(np.mean(missed(values, *logs[2]) ** 2, axis=0)).tolist() for name, values in fits.items()}
     told: dict[str, Any] = {"half": "arm", "kind": "known" if study.truth else "nothing", "plant": "arm"}
     return json.dumps(told | asdict(study) | {"sensors": ["encoder_offset_2"], "yardstick": sealed}, indent=1) + "\n"
 
@@ -152,22 +141,22 @@ def least_squares(logs: Sequence[Log], *, dry: bool) -> Array:
     low, high = 0.3 * start, 3.0 * start
     if dry:
         low[-2:], high[-2:] = 0.0, 3.0
-    scale = np.std(np.concatenate([missed(start, log) for log in logs]), axis=0)
+    scale = np.std(np.concatenate([missed(start, *log) for log in logs]), axis=0)
 
     def off(values: Array) -> Array:
-        return np.concatenate([(missed(values, log) / scale).ravel() for log in logs])
+        return np.concatenate([(missed(values, *log) / scale).ravel() for log in logs])
 
     return minimise(off, start, bounds=(low, high), x_scale=start, loss="linear", max_nfev=15).x
 
 
-def missed(values: Array, log: Log) -> Array:
+def missed(values: Array, torque: Array, angle: Array) -> Array:
     """Return the errors of consecutive predictions over 0.3 s, each started from smoothed rates."""
     length = round(HORIZON / STEP)
-    starts = np.arange(10, len(log.time) - length - 10, length)
+    starts = np.arange(10, ROWS - length - 10, length)
     dry = values[8:] if len(values) > 8 else np.zeros(2)
     a, b, c, g1, g2, rotor, d1, d2 = values[:8]
-    rate = savgol_filter(log.angle, 11, 2, deriv=1, delta=STEP, axis=0)  # a parabola through eleven rows
-    x = np.concatenate([log.angle[starts], rate[starts]], axis=1).T
+    rate = savgol_filter(angle, 11, 2, deriv=1, delta=STEP, axis=0)  # a parabola through eleven rows
+    x = np.concatenate([angle[starts], rate[starts]], axis=1).T
     errors = np.empty((length, starts.size, 2))
 
     def slopes(x: Array, u: Array) -> Array:
@@ -183,11 +172,11 @@ def missed(values: Array, log: Log) -> Array:
 
     h = STEP / 2
     for k in range(length):
-        u = log.torque[starts + k].T
+        u = torque[starts + k].T
         for _ in range(2):
             k1 = slopes(x, u)
             k2 = slopes(x + h / 2 * k1, u)
             k3 = slopes(x + h / 2 * k2, u)
             x = x + h / 6 * (k1 + 2 * k2 + 2 * k3 + slopes(x + h * k3, u))
-        errors[k] = (log.angle[starts + k + 1].T - x[:2]).T
+        errors[k] = (angle[starts + k + 1].T - x[:2]).T
     return np.clip(errors.reshape(-1, 2), -10.0, 10.0)

@@ -11,8 +11,6 @@ files of plants are those of the revision, whose classes they use. A near-tie is
 another: it stays, and figures are printed with and without such studies.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import math
@@ -56,12 +54,12 @@ def conduct(suite: str, seed: int, python: str, revision: str) -> Line:
         python: of the environment.
         revision: whose model files of plants are used; one that ends in + is this tree.
     """
-    command = harness.CommandRefiner(f"{shlex.quote(python)} -P -m cosim refine {{study}} --out {{out}}", TIMEOUT)
+    command = f"{shlex.quote(python)} -P -m cosim refine {{study}} --out {{out}}"
 
     def refiner(study: Path, out: Path) -> None:
         for path in study.parent.glob("*.py") if not revision.endswith("+") else ():
             path.write_bytes(revisions.git("show", f"{revision}:tests/blind/plants/{path.name}"))
-        command(study, out)
+        harness.refine_by(command, TIMEOUT, study, out)
 
     _, line = harness.conduct(suite, seed, refiner)
     del line["seconds"]

@@ -7,11 +7,8 @@ A bundle is what the decision of a study depends on (`cosim/refinement/decision/
 line of the study in `build/bundles`, which is not in the repository. Alternatives are judged by names alone.
 """
 
-from __future__ import annotations
-
 import argparse
 import pickle
-from collections import Counter
 from collections.abc import Callable, Iterable
 from dataclasses import replace
 from pathlib import Path
@@ -40,18 +37,6 @@ def keep(suite: str, seed: int) -> Line:
     place.with_suffix(".part").write_bytes(pickle.dumps((results[0].verdict.bundle, line)))
     place.with_suffix(".part").rename(place)
     return line
-
-
-def outcome(line: Line) -> str:
-    """Return the score of a line: one of `COLUMNS`."""
-    if line["kind"] == "nothing":
-        return "false alarm" if score.is_false_alarm(line) else "quiet"
-    if line["kind"] == "outside":
-        if score.is_misnamed(line):
-            return "misnamed"
-        return "flagged" if score.is_flagged(line) else "missed"
-    columns = {"right": score.is_right, "wrong": score.is_wrong, "in set": score.is_in_set}
-    return next((column for column, holds in columns.items() if holds(line)), "open")
 
 
 def judged(line: Line, decision: Decision) -> Line:
@@ -106,20 +91,20 @@ RULES: dict[str, Rule] = {
     "prior 1/4 of each further part": with_numbers(PART=0.25),
     "without equivalent sets": lambda bundle: decide(replace(bundle, equivalent=())),
 }
-COLUMNS = ("right", "in set", "open", "wrong", "quiet", "false alarm", "flagged", "missed", "misnamed")
 
 
 def table(kept: Iterable[tuple[Bundle, Line]]) -> list[str]:
-    """Return the table of alternatives: outcomes, and the share of studies with the verdict and names of the rule."""
+    """Return the table of alternatives: figures, and the share of studies with the verdict and names of the rule."""
     kept = list(kept)
     usual = [judged(line, decide(bundle)) for bundle, line in kept]
-    rows = [f"| rule | {' | '.join(COLUMNS)} | same |", f"|{'---|' * (len(COLUMNS) + 2)}"]
+    rows, figures = [], score.counts(score.FIELD, ())
     for name, rule in RULES.items():
         lines = [judged(line, rule(bundle)) for bundle, line in kept]
-        found = Counter(map(outcome, lines))
+        figures = score.counts(score.FIELD, lines)
         same = [(a["verdict"], a["effects"]) == (b["verdict"], b["effects"]) for a, b in zip(lines, usual, strict=True)]
-        rows.append(f"| {name} | {' | '.join(str(found[c]) for c in COLUMNS)} | {np.mean(same):.0%} |")
-    return rows
+        cells = [f"{hits} of {of}" for hits, of in figures.values()]
+        rows.append(f"| {name} | {' | '.join(cells)} | {np.mean(same):.0%} |")
+    return [f"| rule | {' | '.join(figures)} | same |", f"|{'---|' * (len(figures) + 2)}", *rows]
 
 
 def main() -> None:

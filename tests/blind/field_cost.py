@@ -6,38 +6,42 @@ without the effect. Base parameters (within their tolerances) and the study's fu
 change. Half the square of the rest is the cost.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from tests.blind.field_rig import Array, Arrays, Rig, Run, flat
+from tests.blind.field_rig import Array, Arrays, Rig, Run, flat, runge_kutta
 
 Values = dict[str, float]
 
 
-@dataclass(frozen=True)
-class Conditions:
-    """Logs for the cost: courses, variance of each cell (infinite without measurement), deviations of the pushes."""
+def costs(
+    rig: Rig,
+    base: Values,
+    truth: Mapping[str, Values],
+    runs: Sequence[Run],
+    variances: Sequence[Array],
+    push_deviations: Sequence[float],
+) -> dict[str, float]:
+    """Return effect → nats lost without it, after a refit of base parameters and further effects.
 
-    runs: Sequence[Run]
-    variances: Sequence[Array]  # (rows, outputs) each
-    push_deviations: Sequence[float]
-
-
-def costs(rig: Rig, base: Values, truth: Mapping[str, Values], given: Conditions) -> dict[str, float]:
-    """Return effect → nats lost without it, after a refit of base parameters and further effects."""
+    Args:
+        rig: the plant.
+        base: its true base parameters.
+        truth: its effects.
+        runs: the logs.
+        variances: of the cells of each log, infinite without measurement.
+        push_deviations: standard deviations of the disturbance.
+    """
     p, known = rig.numbers(base, truth), len(rig.sheet)
     cases = [p | flat({name: rig.every_entry[name].left_out(values)}) for name, values in truth.items()]
     # base parameters with a prior of half the tolerance, and parameters of the effects, a little off
     cases += [p | {name: p[name] + 0.25 * share * abs(value)} for name, (value, share) in rig.sheet.items()]
     nudges = [(name, parameter) for name, values in truth.items() for parameter in values]
     cases += [p | {f"{name}.{parameter}": _nudged(rig, name, parameter, truth)} for name, parameter in nudges]
-    columns = _innovations(rig, p, cases, given)
+    columns = _innovations(rig, p, cases, (runs, variances, np.array(push_deviations)))
     changes = columns[:, len(truth) :].copy()
     changes[:, :known] *= 2.0  # of one standard deviation
     found = {}
@@ -65,7 +69,7 @@ def _remaining(what: Array, free: Array, with_prior: int) -> float:
     return float(np.sum((target - rows @ best) ** 2))
 
 
-def _innovations(rig: Rig, p: Values, cases: Sequence[Values], given: Conditions) -> Array:
+def _innovations(rig: Rig, p: Values, cases: Sequence[Values], given: tuple[Any, Any, Array]) -> Array:
     """Return the whitened innovations of the true run under models with other parameters, a column per model.
 
     An extended Kalman filter with the gains of the true model, whose innovations are 0, runs on all logs and for all
@@ -73,10 +77,10 @@ def _innovations(rig: Rig, p: Values, cases: Sequence[Values], given: Conditions
     state a little above and below, for the Jacobians. Additional states are the pushes, and earlier readings of a late
     sensor (registers, newest first).
     """
-    runs, outputs = given.runs, len(rig.outputs)
+    (runs, variances, deviations), outputs = given, len(rig.outputs)
     logs, count, width = len(runs), len(runs[0].times), 1 + len(cases)
     names = {name.partition(".")[0] for case in (p, *cases) for name in case}
-    scales, deviations = rig.scales(names), np.array(given.push_deviations)
+    scales = rig.scales(names)
     n, moved = scales.size, scales.size + len(rig.pushes)
     everyone = [p, *cases, *[p] * (2 * moved)]
     numbers = _columns(rig, everyone)
@@ -94,7 +98,7 @@ def _innovations(rig: Rig, p: Values, cases: Sequence[Values], given: Conditions
     cov = np.zeros((logs, size, size))
     cov[:] = np.diag(np.concatenate([(0.3 * scales) ** 2, deviations**2, np.full(registers, 1e-12)]))
     noise = np.diag([*[0.0] * n, *(1.0 - keep**2) * deviations**2, *[0.0] * registers])
-    variance = np.stack(list(given.variances), axis=1)  # (rows, logs, outputs)
+    variance = np.stack(list(variances), axis=1)  # (rows, logs, outputs)
     variance = np.where(np.isfinite(variance), variance, 1e12 * np.array(list(rig.outputs.values())) ** 2)
     transition = np.zeros((logs, size, size))
     transition[:, range(n, moved), range(n, moved)] = keep
@@ -191,9 +195,5 @@ def _stepped(rate: Any, parts: int, time: tuple[Any, Any], now: tuple[Any, Any],
         def slopes(at: Any, state: Array, u: Array = u) -> Array:
             return np.stack([np.broadcast_to(v, state.shape[1:]) for v in rate(at, state, u, d)])
 
-        k1 = slopes(begin, x)
-        k2 = slopes(begin + 0.5 * h, x + 0.5 * h * k1)
-        k3 = slopes(begin + 0.5 * h, x + 0.5 * h * k2)
-        k4 = slopes(begin + h, x + h * k3)
-        x = x + h / 6.0 * (k1 + 2.0 * (k2 + k3) + k4)
+        x = runge_kutta(slopes, begin, x, h)
     return x

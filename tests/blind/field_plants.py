@@ -1,8 +1,6 @@
 """Independent equations of the four own plants of the field half, from forces, powers and balances of volume."""
 
 # ruff: noqa: RUF012 - what a rig declares are attributes of its class
-from __future__ import annotations
-
 import math
 from functools import partial
 from typing import Any
@@ -33,12 +31,9 @@ class DriveTrain(Rig):
     inputs = {"torque": 0.0}
     outputs = {"motor_angle": 1e-2, "motor_speed": 0.5, "load_angle": 1e-2}
     sheet = {
-        "motor_inertia": (0.004, 0.05),
-        "load_inertia": (0.012, 0.2),
-        "stiffness": (25.0, 0.1),
-        "motor_damping": (0.015, 0.3),
-        "load_damping": (0.025, 0.3),
-    }
+        "motor_inertia": (0.004, 0.05), "load_inertia": (0.012, 0.2), "stiffness": (25.0, 0.1),
+        "motor_damping": (0.015, 0.3), "load_damping": (0.025, 0.3),
+    }  # fmt: skip
     constants = {"belt_damping": 0.05}
     entries = {
         "command_delay": Entry("time", 3e-3, 5e-4, 0.06),
@@ -115,13 +110,9 @@ class Tanks(Rig):
     inputs = {"pump_left": 5.0, "pump_right": 5.0}
     outputs = {"level_left": 2e-3, "level_right": 2e-3, "outflow": 1e-6}
     sheet = {
-        "area_left": (0.02, 0.03),
-        "area_right": (0.02, 0.03),
-        "pipe": (1.2e-4, 0.3),
-        "outlet": (1.2e-4, 0.2),
-        "gain_left": (6e-6, 0.1),
-        "gain_right": (6e-6, 0.1),
-    }
+        "area_left": (0.02, 0.03), "area_right": (0.02, 0.03), "pipe": (1.2e-4, 0.3), "outlet": (1.2e-4, 0.2),
+        "gain_left": (6e-6, 0.1), "gain_right": (6e-6, 0.1),
+    }  # fmt: skip
     entries = {
         "pump_dead_band": Entry("width", 0.1, 5e-3, 1.5),
         "pump_lag": Entry("time", 2.0, 0.6, 30.0),
@@ -220,12 +211,9 @@ class Cart(Rig):
     inputs = {"force": 0.0}
     outputs = {"position": 2e-3, "angle": 5e-3, "rate": 0.05}
     sheet = {
-        "cart_mass": (1.0, 0.05),
-        "bob_mass": (0.3, 0.1),
-        "length": (0.5, 0.02),
-        "cart_friction": (2.0, 0.3),
+        "cart_mass": (1.0, 0.05), "bob_mass": (0.3, 0.1), "length": (0.5, 0.02), "cart_friction": (2.0, 0.3),
         "pivot_friction": (0.008, 0.3),
-    }
+    }  # fmt: skip
     constants = {"gravity": 9.81}
     entries = {
         "force_dead_band": Entry("width", 0.1, 0.01, 1.0),
@@ -332,13 +320,9 @@ class QuarterCar(Rig):
     inputs = {"road": 0.0}
     outputs = {"travel": 1e-3, "body_acceleration": 0.2, "body_height": 2e-3}
     sheet = {
-        "body_mass": (300.0, 0.05),
-        "wheel_mass": (40.0, 0.1),
-        "spring": (18000.0, 0.05),
-        "damping": (1200.0, 0.3),
-        "tyre": (180000.0, 0.15),
-        "table_lag": (0.02, 0.2),
-    }
+        "body_mass": (300.0, 0.05), "wheel_mass": (40.0, 0.1), "spring": (18000.0, 0.05), "damping": (1200.0, 0.3),
+        "tyre": (180000.0, 0.15), "table_lag": (0.02, 0.2),
+    }  # fmt: skip
     entries = {
         "command_delay": Entry("time", 2e-3, 3e-4, 0.05),
         "road_gain": Entry("gain", 0.01, 1e-3, 0.2, signed=True),

@@ -1,9 +1,8 @@
 """Recorder of readings: noise, rounding, outliers, wrong time stamps and lost cells."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Self
 
 import numpy as np
 
@@ -36,7 +35,7 @@ class Recorder:
     timing: float = 0.0
 
     @classmethod
-    def draw(cls, rng: Random, outputs: Sequence[str], longest_hole: int) -> Recorder:
+    def draw(cls, rng: Random, outputs: Sequence[str], longest_hole: int) -> Self:
         """Return a recorder with one or two random faults."""
         faults = tuple(sorted(str(f) for f in rng.choice(FAULTS, rng.integers(1, 3), replace=False)))
         noise = {o: float(np.exp(rng.uniform(np.log(0.4), np.log(2.5)))) for o in outputs}

@@ -5,8 +5,6 @@ scipy's DOP853, arrays hold many slightly different rigs at once for `field_cost
 """
 
 # ruff: noqa: RUF012 - what a rig declares are attributes of its class
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -21,6 +19,7 @@ from scipy.integrate import ode
 Array = Any  # of floats, which NumPy's own types do not remain beside Any
 Random = np.random.Generator
 LOGS = ("e1", "e2", "v1")
+BLOCK = ("known",) * 11 + ("nothing",) * 5 + ("outside",) * 4  # of twenty consecutive seeds, in shuffled order
 STUDY_LOGS = "logs:\n  estimation: [e1.csv, e2.csv]\n  validation: [v1.csv]\n"
 Flat = Mapping[str, Any]  # base numbers by name, effects as `effect.parameter`: floats, or one array entry a column
 Truth = dict[str, dict[str, float]]
@@ -316,6 +315,14 @@ def advanced(integrator: Any, state: Array, begin: float, end: float) -> Array:
     if not integrator.successful():
         raise ArithmeticError(f"integration failed at {begin:.3f} s")
     return state
+
+
+def runge_kutta(rate: Callable[[Any, Array], Array], t: Any, x: Array, h: Any) -> Array:
+    """Return the state after a step of order 4."""
+    k1 = rate(t, x)
+    k2 = rate(t + 0.5 * h, x + 0.5 * h * k1)
+    k3 = rate(t + 0.5 * h, x + 0.5 * h * k2)
+    return x + h / 6.0 * (k1 + 2.0 * (k2 + k3) + rate(t + h, x + h * k3))
 
 
 # -- what is drawn ---------------------------------------------------------------------------------------

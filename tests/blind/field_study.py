@@ -7,20 +7,24 @@ A mixed study has two or three effects of the catalogue; every fifth has one suc
 outside the catalogue. The rest is as in the field half.
 """
 
-from __future__ import annotations
-
+import json
 import math
+import shutil
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import partial
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from tests.blind.field_cost import Conditions, costs
-from tests.blind.field_craft import CraftRig, craft, fly_craft, moving_start
+from tests.blind.field_cost import costs
+from tests.blind.field_craft import CraftRig, Pilot, craft, fly_craft, moving_start, replay_craft
 from tests.blind.field_plants import Cart, DriveTrain, QuarterCar, Tanks
 from tests.blind.field_recorder import Recorder
 from tests.blind.field_rig import (
+    BLOCK,
+    LOGS,
     Array,
     Course,
     Entry,
@@ -30,16 +34,17 @@ from tests.blind.field_rig import (
     Truth,
     base_numbers,
     coloured,
+    csv,
     dealt,
     log_uniform,
     random_stream,
+    write_study,
 )
-from tests.blind.truth_outside import OUTSIDE
-from tests.blind.truth_pilot import Pilot
+from tests.blind.truth_craft import OUTSIDE, stranger
 
 RIGS: dict[str, Rig] = {rig.name: rig for rig in (CraftRig(), DriveTrain(), Tanks(), Cart(), QuarterCar())}
 PLANTS = tuple(RIGS)
-BLOCK = ("known",) * 11 + ("nothing",) * 5 + ("outside",) * 4  # of twenty consecutive seeds, in shuffled order
+MODELS = Path(__file__).with_name("plants")  # of the plants other than the craft
 COUNTS = (1, 2, 3, 4)  # effects of a known study
 DISTURBANCES = {"small": 0.0005, "large": 0.002}  # of the actuator's range: standard deviation
 LEAST = 20.0  # nats: what an effect costs at least where it is left out
@@ -47,21 +52,10 @@ SMALL, LARGE = (25.0, 100.0), (100.0, 1600.0)  # nats, log-uniform
 SMALL_SHARE = 0.38  # of the effects that are sized; the others, latencies, are always large
 NEAR = 0.15  # share of a size to which the search goes
 OUTSIDE_COST = (200.0, 1600.0)  # nats
+SKIPPED = 2.0  # [s] of rows of 50 ms and faster that are not judged at the start of a log; longer where rows are slower
+SEALED = LOGS.index("v1")
 
 Wanted = Callable[[Random], float]  # → a random cost [nats]
-
-
-@dataclass(frozen=True)
-class Deal:
-    """Properties of a seed from the shuffled decks; way, version and size of effects only of FMUs."""
-
-    plant: str
-    kind: str  # known, nothing, outside
-    effects: int
-    disturbance: str = "small"
-    way: str = ""
-    version: int = 0
-    size: str = ""  # usual, fifth; empty without effects of the catalogue
 
 
 @dataclass(frozen=True)
@@ -94,32 +88,32 @@ SUITE = 60493  # of this half and of the FMUs
 stream, card = partial(random_stream, SUITE), partial(dealt, SUITE)
 
 
-def deal(seed: int) -> Deal:
-    """Return the properties of a seed from the decks, without effects and sizes."""
-    kind, number = card(BLOCK, seed, 1)
-    count = card(COUNTS, number, 2)[0] if kind == "known" else int(kind == "outside")
-    return Deal(PLANTS[seed % len(PLANTS)], kind, count, card(tuple(DISTURBANCES), seed, 3)[0])
+def deal(seed: int) -> dict[str, Any]:
+    """Return what decks decide of a seed, which is all but effects and sizes."""
+    kind, _ = card(BLOCK, seed, 1)
+    return {"plant": PLANTS[seed % len(PLANTS)], "kind": kind, "disturbance": card(tuple(DISTURBANCES), seed, 3)[0]}
 
 
 def draw(seed: int) -> Study:
     """Return the study of a seed, reproducible byte for byte."""
-    given, rng = deal(seed), stream(seed, 4)
-    study = bare("field", seed, given.plant, rng, given.kind)
-    if given.kind == "known":
-        return hidden(lambda: sized(study, names_of(study.rig, rng, given.effects), rng, _wanted))
-    if given.kind == "nothing":
+    rng, (kind, number) = stream(seed, 4), card(BLOCK, seed, 1)
+    study = bare("field", seed, rng, kind)
+    if kind == "known":
+        count, _ = card(COUNTS, number, 2)
+        return hidden(lambda: sized(study, names_of(study.rig, rng, count), rng, _wanted))
+    if kind == "nothing":
         return study
-    if given.plant == "craft":  # with the sizes of the laboratory half
+    if study.plant == "craft":  # with the sizes of the laboratory half
         name = str(rng.choice(sorted(OUTSIDE)))
-        return replace(study, truth={name: {p: float(rng.uniform(*r)) for p, r in OUTSIDE[name].items()}})
+        return replace(study, truth={name: stranger(name, rng)})
     return hidden(lambda: sized(study, [str(rng.choice(sorted(study.rig.outside)))], rng, costing(OUTSIDE_COST)))
 
 
 def draw_mixed(seed: int) -> Study:
     """Return the mixed study of a seed, with several hidden effects."""
-    plant, rng = PLANTS[seed % len(PLANTS)], stream(seed, 6)
-    study = bare("mixed", seed, plant, rng)
-    strange = (seed // len(PLANTS)) % 5 == 4 and plant != "craft"  # a craft has one effect or one stranger
+    rng = stream(seed, 6)
+    study = bare("mixed", seed, rng)
+    strange = (seed // len(PLANTS)) % 5 == 4 and study.plant != "craft"  # a craft has one effect or one stranger
 
     def names() -> list[str]:
         if strange:
@@ -129,12 +123,13 @@ def draw_mixed(seed: int) -> Study:
     return hidden(lambda: sized(study, names(), rng, costing(LARGE)))
 
 
-def bare(half: str, seed: int, plant: str, rng: Random, kind: str = "known") -> Study:
+def bare(half: str, seed: int, rng: Random, kind: str = "known") -> Study:
     """Return a study with base parameters, disturbance and recorder, but without hidden effects.
 
     Args:
         kind: `known`, `nothing` or `outside`, the label of what is hidden later.
     """
+    plant = PLANTS[seed % len(PLANTS)]
     rig = RIGS[plant]
     longest_hole = min(90, int(0.45 / rig.step)) if rig.step < 0.05 else 9
     recorder = Recorder.draw(rng, list(rig.outputs), longest_hole)
@@ -202,47 +197,46 @@ def hidden(attempt: Callable[[], Study | None]) -> Study:
     raise RuntimeError("no effects that can be seen")
 
 
-@dataclass
-class _Search:
-    """Search for the size of an effect with a wanted cost; `tried` has the last size with its cost."""
+def next_size(entry: Entry, wanted: float, size: float, cost: float, last: tuple[float, float] | None) -> float:
+    """Return the next size to try, within the limits, from a power law of the cost, at first the square.
 
-    size: float
-    wanted: float
-    tried: tuple[float, float] | None = None
-
-    def next_size(self, entry: Entry, cost: float) -> float:
-        """Return the next size to try, within the limits, from a power law of the cost, at first the square."""
-        if entry.fixed:
-            return self.size
-        power, cost = 2.0, max(cost, 1e-3)
-        if self.tried and abs(math.log(self.size / self.tried[0])) > 1e-3:
-            power = math.log(cost / self.tried[1]) / math.log(self.size / self.tried[0])
-        self.tried = self.size, cost
-        factor = (self.wanted / cost) ** (1.0 / min(max(power, 1.0), 12.0))
-        return float(min(max(self.size * min(max(factor, 0.1), 10.0), entry.low), entry.high))
+    Args:
+        entry: of the effect.
+        wanted: its cost [nats].
+        size: just tried.
+        cost: of this size.
+        last: size tried before, with its cost.
+    """
+    power = 2.0
+    if last and abs(math.log(size / last[0])) > 1e-3:
+        power = math.log(cost / last[1]) / math.log(size / last[0])
+    factor = (wanted / cost) ** (1.0 / min(max(power, 1.0), 12.0))
+    return float(min(max(size * min(max(factor, 0.1), 10.0), entry.low), entry.high))
 
 
 def sized(study: Study, names: Sequence[str], rng: Random, wanted: Wanted) -> Study | None:
     """Return the study with each effect at the size of its wanted cost; None if a cost cannot be reached."""
-    entries, units, searches = {name: study.rig.every_entry[name] for name in names}, {}, {}
+    entries, goals, sizes, units = {name: study.rig.every_entry[name] for name in names}, {}, {}, {}
     for name, entry in entries.items():
-        cost = wanted(rng)
-        start = float(rng.uniform(entry.low, entry.high)) if entry.fixed else entry.start
-        units[name], searches[name] = entry.unit(rng), _Search(start, cost)
+        goals[name] = wanted(rng)
+        sizes[name] = float(rng.uniform(entry.low, entry.high)) if entry.fixed else entry.start
+        units[name] = entry.unit(rng)
+    searched, last = [name for name, entry in entries.items() if not entry.fixed], {}
     for _ in range(6):
-        study = replace(study, truth={n: entry.at(units[n], searches[n].size) for n, entry in entries.items()})
+        study = replace(study, truth={name: entry.at(units[name], sizes[name]) for name, entry in entries.items()})
         try:
             study = with_costs(study)
         except ArithmeticError:
             return None
-        sizes = {name: s.next_size(entries[name], study.costs[name]) for name, s in searches.items()}
-        for name, s in searches.items():
-            if s.tried and s.size == entries[name].high and s.tried[1] < LEAST:
+        before = dict(sizes)
+        for name in searched:
+            entry, cost = entries[name], max(study.costs[name], 1e-3)
+            if before[name] == entry.high and cost < LEAST:
                 return None  # the cost is too low at the largest size
-        if all(abs(math.log(sizes[name] / s.size)) < NEAR for name, s in searches.items()):
+            sizes[name] = next_size(entry, goals[name], before[name], cost, last.get(name))
+            last[name] = before[name], cost
+        if all(abs(math.log(sizes[name] / before[name])) < NEAR for name in searched):
             break
-        for name, s in searches.items():
-            s.size = sizes[name]
     return study if min(study.costs.values()) >= LEAST else None
 
 
@@ -254,10 +248,72 @@ def with_costs(study: Study) -> Study:
         recorder.variances(rig, result.readings, study.stamp_error, rows_to_keep(study, number))
         for number, (_, result) in enumerate(flown)
     ]
-    given = Conditions([undisturbed(run) for run, _ in flown], variances, study.push_deviations)
-    return replace(study, costs=costs(rig, study.base, study.truth, given))
+    runs = [undisturbed(run) for run, _ in flown]
+    return replace(study, costs=costs(rig, study.base, study.truth, runs, variances, study.push_deviations))
 
 
 def undisturbed(run: Run) -> Run:
     """Return the run without pushes, as the model assumes."""
     return replace(run, pushes=np.zeros_like(run.pushes))
+
+
+# -- files and answer --------------------------------------------------------------------------------------
+
+
+def recorded(study: Study, number: int) -> tuple[Run, Course, Array]:
+    """Return log `number`: its inputs, its course, and the recorded cells, NaN if missing."""
+    run, result = course(study, number)
+    spoiling = stream(study.seed, 10 + number, 5)
+    cells = study.recorder.spoil(spoiling, study.rig, result.readings, noise(study, number), study.stamp_error)
+    return run, result, np.where(rows_to_keep(study, number), cells, np.nan)
+
+
+def write(study: Study, folder: Path) -> Path:
+    """Write study.yaml, the model file and the logs, without the answer; return the path of study.yaml."""
+    if study.plant == "craft":  # the tolerances of the others are in their model files
+        return write_study(
+            folder, "base", logs_of(study), {name: share for name, (_, share) in study.rig.sheet.items()}
+        )
+    path = write_study(folder, f"{study.plant}.py:{study.rig.model}", logs_of(study))
+    shutil.copyfile(MODELS / f"{study.plant}.py", folder / f"{study.plant}.py")
+    return path
+
+
+def logs_of(study: Study) -> list[str]:
+    """Return the logs as CSV without rows that are lost as a whole."""
+    texts = []
+    for number in range(len(LOGS)):
+        run, _, cells = recorded(study, number)
+        kept = ~np.isnan(cells).all(axis=1) | (not study.recorder.whole_rows)
+        columns = (".6f", run.times[kept, None]), (".6g", run.commands[kept]), (".7g", cells[kept])
+        texts.append(csv(["time", *study.rig.inputs, *study.rig.outputs], *columns))
+    return texts
+
+
+def true_error(study: Study) -> dict[str, float]:
+    """Return the root mean square of recorded − true model on the sealed log, by channel.
+
+    The true model starts at the true state once per horizon, with the true sensor errors and without disturbance. Cells
+    are those of the log, outliers included.
+    """
+    rig = study.rig
+    run, result, cells = recorded(study, SEALED)
+    if isinstance(rig, CraftRig):
+        predicted = replay_craft(craft(study.base, study.truth), study.truth, run, result)
+    else:
+        resets = {k: result.states[k] for k in range(0, run.times.size, round(rig.horizon / rig.step))}
+        predicted = rig.course(rig.numbers(study.base, study.truth), undisturbed(run), resets).readings
+    skipped = SKIPPED * max(1.0, math.ceil(rig.step / 0.05))
+    judged = (run.times >= run.times[0] + skipped)[:, None]
+    off = np.where(judged, cells - predicted, np.nan)
+    return {o: float(np.sqrt(np.nanmean(column**2))) for o, column in zip(rig.outputs, off.T, strict=True)}
+
+
+def answer(study: Study, **more: Any) -> str:
+    """Return the answer as JSON, to be opened after the verdict."""
+    late = ("late",) if study.rig.late()[0] in study.truth else ()  # a fault, and an effect
+    faults, sensors = [*study.recorder.faults, *late], list(study.rig.sensors)
+    told = asdict(study) | {"faults": faults, "sensors": sensors, "error_true": true_error(study)}
+    if study.half == "mixed":
+        told["strangers"] = sorted(set(study.truth) & set(study.rig.outside))
+    return json.dumps(told | more, indent=1) + "\n"

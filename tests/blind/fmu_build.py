@@ -12,8 +12,6 @@ values (`initial` exact). A step of co-simulation has any length and is divided 
 `Plant.inner` seconds. FMU states can be saved and serialized. There are no events and no directional derivatives.
 """
 
-from __future__ import annotations
-
 import os
 import re
 import shlex

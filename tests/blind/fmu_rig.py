@@ -23,8 +23,6 @@ declares its places: inputs, position-velocity pairs, storages, outputs. From th
 """
 
 # ruff: noqa: RUF012 - what a rig declares are attributes of its class
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Callable, Collection, Mapping
@@ -56,8 +54,6 @@ SHORTEST_LAG = 0.5  # time constant of a sensor in rows, below which the integra
 DAMPING = {"damping": (0.4, 0.8)}
 QUICK = 50.0  # a lag so many times faster than a part of a row is none
 
-Ranges = Mapping[str, tuple[float, float]]
-
 
 def place(name: str) -> str:
     """Return the name of a place: every character except letters, digits and _ becomes _."""
@@ -79,7 +75,7 @@ class Input:
         """Return the largest distance of a command from 0."""
         return max(abs(self.low), abs(self.high))
 
-    def effects(self, _: str, rig: FmuRig) -> dict[str, Entry]:
+    def effects(self, _: str, rig: Rig) -> dict[str, Entry]:
         """Return the effects that an input may have."""
         h, reach = rig.step, self.reach
         return {
@@ -155,7 +151,7 @@ class Output:
     spread: float
     kinds: str
 
-    def effects(self, name: str, rig: FmuRig) -> dict[str, Entry]:
+    def effects(self, name: str, rig: Rig) -> dict[str, Entry]:
         """Return the errors that an output may have."""
         h, slow = rig.step, self.spread / (rig.rows * rig.step)
         return {

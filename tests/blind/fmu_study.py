@@ -5,27 +5,24 @@ Six plants alternate; over 24 consecutive seeds each is drawn with both ways and
 5000 nats (`field_cost`); half of the known studies have a fifth of that size instead, which costs 20 nats at least.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
-from tests.blind import field_study, field_write
+from tests.blind import field_study
 from tests.blind.field_recorder import Recorder
 from tests.blind.field_rig import Entry, Rig, base_numbers, write_study
-from tests.blind.field_study import Deal, Study, card, costing, hidden, sized, stream
+from tests.blind.field_study import Study, card, costing, hidden, sized, stream
 from tests.blind.fmu_build import PLANTS as DECLARED
 from tests.blind.fmu_build import WAYS, build, build_slave
 from tests.blind.fmu_rig import CoSimulation, ModelExchange, place
 from tests.blind.fmu_truths import CLASSES, RIGS
 
 PLANTS = tuple(rig.name for rig in CLASSES)
-DEALT = {"usual", "fifth", *PLANTS, *WAYS}  # what is decided without effects, beside the kind
 BLOCK = ("known",) * 12 + ("nothing",) * 5 + ("outside",) * 3  # of twenty consecutive seeds, in shuffled order
 HIDDEN = (("usual", 1), ("fifth", 1), ("usual", 2), ("fifth", 1), ("usual", 1), ("fifth", 2))  # size, effects
 USUAL = (500.0, 5000.0)  # nats, log-uniform
 SMALLER = 5.0
-FIRST_OF_TWO = 5000  # first seed with a second exporter; earlier studies stay as they were
 SLAVES = {("tanks", "co_simulation", 2)}  # plant, way and version of FMI that pythonfmu makes too
 OWN = 26  # first number of this suite's random streams
 
@@ -44,36 +41,35 @@ class FmuStudy(Study):
         return RIGS[self.plant, self.way]
 
 
-def deal(seed: int) -> Deal:
-    """Return the properties of a seed from the decks."""
+def deal(seed: int) -> dict[str, Any]:
+    """Return the properties of a seed from the decks; the size is `usual`, `fifth` or, without known effects, empty."""
     kind, number = card(BLOCK, seed, OWN, 1)
-    size, count = card(HIDDEN, number, OWN + 1)[0] if kind == "known" else ("", int(kind == "outside"))
+    size, count = card(HIDDEN, number, OWN + 1)[0] if kind == "known" else ("", 0)
     round_, half = seed // len(PLANTS), seed // (2 * len(PLANTS))
     plant, way, version = PLANTS[seed % len(PLANTS)], WAYS[(seed + round_) % 2], 2 + (seed + half) % 2
-    return Deal(plant, kind, count, way=way, version=version, size=size)
+    dealt = {"plant": plant, "kind": kind, "effects": count, "disturbance": "small"}
+    return dealt | {"way": way, "version": version, "size": size}
 
 
 def draw(seed: int) -> Study:
     """Return the study of a seed, reproducible byte for byte."""
     dealt, rng = deal(seed), stream(seed, OWN, 2)
-    rig = RIGS[dealt.plant, dealt.way]
-    study = FmuStudy(
-        "fmu", seed, dealt.plant, dealt.kind, {}, base_numbers(rig.sheet, rng), "small",
-        Recorder(noise=dict.fromkeys(rig.outputs, 1.0)), way=dealt.way, version=dealt.version, size=dealt.size,
-    )  # fmt: skip
+    count, rig = dealt.pop("effects"), RIGS[dealt["plant"], dealt["way"]]
+    recorder = Recorder(noise=dict.fromkeys(rig.outputs, 1.0))
+    study = FmuStudy("fmu", seed, truth={}, base=base_numbers(rig.sheet, rng), recorder=recorder, **dealt)
 
     def known() -> Study | None:
         """Return the study with effects of usual size or a fifth; None if one cannot have it."""
-        found = sized(study, field_study.names_of(rig, rng, dealt.effects), rng, costing(USUAL))
-        if found is None or dealt.size == "usual":
+        found = sized(study, field_study.names_of(rig, rng, count), rng, costing(USUAL))
+        if found is None or study.size == "usual":
             return found
         found = replace(found, truth={name: shrunk(rig.entries[name], v) for name, v in found.truth.items()})
         found = field_study.with_costs(found) if rig.resolves(found.truth) else None
         return found if found and min(found.costs.values()) >= field_study.LEAST else None
 
-    if dealt.kind == "nothing":
+    if study.kind == "nothing":
         return study
-    if dealt.kind == "known":
+    if study.kind == "known":
         return hidden(known)
     return hidden(lambda: sized(study, [str(rng.choice(sorted(rig.outside)))], rng, costing(field_study.OUTSIDE_COST)))
 
@@ -95,8 +91,8 @@ def write(study: FmuStudy, folder: Path) -> Path:
     """
     names = {place(v.name): v.name for v in DECLARED[study.plant].parameters}
     tolerance = {names[name]: share for name, (_, share) in study.rig.sheet.items()}
-    path = write_study(folder, "plant.fmu", field_write.logs_of(study), tolerance)
-    of_two = (study.plant, study.way, study.version) in SLAVES and study.seed >= FIRST_OF_TWO
+    path = write_study(folder, "plant.fmu", field_study.logs_of(study), tolerance)
+    of_two = (study.plant, study.way, study.version) in SLAVES
     if of_two and stream(study.seed, OWN + 2).uniform() < 0.5:
         build_slave(folder / "plant.fmu", study.plant)
     else:
@@ -125,4 +121,4 @@ def claimed(study: FmuStudy) -> dict[str, dict[str, float]]:
 
 def answer(study: FmuStudy) -> str:
     """Return the answer as JSON, to be opened after the verdict."""
-    return field_write.answer(study, truth=claimed(study), physical=study.truth)
+    return field_study.answer(study, truth=claimed(study), physical=study.truth)

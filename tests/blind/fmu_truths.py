@@ -5,8 +5,6 @@ without the equations of the FMUs and without the project.
 """
 
 # ruff: noqa: RUF012 - what a rig declares are attributes of its class
-from __future__ import annotations
-
 import math
 from typing import Any
 

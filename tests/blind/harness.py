@@ -8,8 +8,6 @@ study, appended at once. A restarted run skips studies with a verdict of the sam
 output is JSON: the figures of `score.summary`, with the figures of further halves under their names.
 """
 
-from __future__ import annotations
-
 import argparse
 import fcntl
 import itertools
@@ -22,31 +20,30 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 from joblib import Parallel, delayed
 
-from tests.blind import arm, field_study, field_write, fmu_study, score, truth
-from tests.blind.score import ARM, FIELD, FMU, KINDS, LABORATORY, MIXED, Line
+from tests.blind import arm, field_study, fmu_study, score, truth
+from tests.blind.score import ARM, FIELD, FMU, LABORATORY, MIXED, Line
 from tests.corpus import revisions
 
 RESULTS = revisions.ROOT / "results" / "blind.jsonl"
 DRAWS: dict[str, tuple[Any, Callable[[int], Any]]] = {  # suite → module with `write` and `answer`; seed → its study
     LABORATORY: (truth, truth.draw),
-    FIELD: (field_write, field_study.draw),
-    MIXED: (field_write, field_study.draw_mixed),
+    FIELD: (field_study, field_study.draw),
+    MIXED: (field_study, field_study.draw_mixed),
     ARM: (arm, arm.draw),
     FMU: (fmu_study, fmu_study.draw),
 }
-QUICK: dict[str, tuple[Callable[[int], Any], Iterable[str], Iterable[str]]] = {
-    # suites for which `--only` chooses: seed → what is known quickly, its names, names of what is hidden
-    LABORATORY: (truth.draw, (), truth.NAMES),
-    FIELD: (field_study.deal, field_study.PLANTS, [n for rig in field_study.RIGS.values() for n in rig.every_entry]),
-    FMU: (fmu_study.deal, fmu_study.DEALT, [n for rig in fmu_study.RIGS.values() for n in rig.every_entry]),
+QUICK: dict[str, Callable[[int], Any]] = {  # suite → what `--only` chooses from: seed → what is known of it at once
+    LABORATORY: lambda seed: vars(truth.draw(seed)),
+    FIELD: field_study.deal,
+    FMU: fmu_study.deal,
 }
+FAR = 10_000  # seeds after which `--only` gives up
 HALVES = {half: (half,) for half in DRAWS} | {"both": (LABORATORY, FIELD)}
 STUDY = ("kind", "plant", "way", "version", "size", "disturbance", "disturbed", "truth", "strangers", "costs")
 ANSWER = ("error_true", "yardstick")
@@ -54,6 +51,7 @@ FOUND = ("verdict", "grade", "not_excluded", "alike", "failure")
 STAGES = ("before", "recalibrated", "after", "nearest")
 SETS = ("estimation", "validation")
 BEST = 5  # candidates with scores
+TIMEOUT = 600.0  # time limit of a study [s]
 
 Key = tuple[str, int]  # suite, seed
 Refiner = Callable[[Path, Path], Any]  # (study.yaml, folder to leave refine.json in)
@@ -67,27 +65,19 @@ class StudyFailed(Exception):
 # -- one study ---------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class CommandRefiner:
-    """A command line with {study} and {out}, and its limit of time [s]."""
-
-    template: str
-    timeout: float
-
-    def __call__(self, study: Path, out: Path) -> None:
-        words = [word.format(study=study, out=out) for word in shlex.split(self.template)]
-        kept = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
-        environment = kept | ONE_THREAD | {"TMPDIR": str(out.parent)}
-        try:
-            done = subprocess.run(
-                words, capture_output=True, text=True, timeout=self.timeout, check=False, env=environment
-            )
-        except subprocess.TimeoutExpired as e:
-            raise StudyFailed(f"no verdict within {self.timeout:g} s") from e
-        except OSError as e:
-            raise StudyFailed(str(e)) from e
-        if done.returncode:
-            raise StudyFailed(f"exit {done.returncode}: {done.stderr.strip()[-500:]}")
+def refine_by(command: str, timeout: float, study: Path, out: Path) -> None:
+    """Refine a study by a command line with {study} and {out}, within a limit of time [s]."""
+    words = [word.format(study=study, out=out) for word in shlex.split(command)]
+    kept = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+    environment = kept | ONE_THREAD | {"TMPDIR": str(out.parent)}
+    try:
+        done = subprocess.run(words, capture_output=True, text=True, timeout=timeout, check=False, env=environment)
+    except subprocess.TimeoutExpired as e:
+        raise StudyFailed(f"no verdict within {timeout:g} s") from e
+    except OSError as e:
+        raise StudyFailed(str(e)) from e
+    if done.returncode:
+        raise StudyFailed(f"exit {done.returncode}: {done.stderr.strip()[-500:]}")
 
 
 def invent(suite: str, seed: int, folder: Path) -> tuple[Path, str]:
@@ -212,21 +202,14 @@ def seeds(suite: str, count: int, first: int, only: Iterable[str]) -> list[int]:
     """Return `count` consecutive seeds from `first`; with `only`, those with such a kind, plant, way or truth."""
     if not only:
         return list(range(first, first + count))
-    if not (chosen := known_names(suite) & set(only)):
-        return []  # this suite has none of it
-    deal, quick, _ = QUICK[suite]
+    if suite not in QUICK:
+        return []
 
     def wanted(seed: int) -> bool:
-        dealt = {str(x) for x in vars(deal(seed)).values()}
-        is_slow = not chosen <= {*KINDS, *quick} and "nothing" not in dealt
-        return bool(chosen & dealt) or (is_slow and bool(chosen & DRAWS[suite][1](seed).truth.keys()))
+        known = QUICK[suite](seed)
+        return not {*map(str, known.values()), *known.get("truth", ())}.isdisjoint(only)
 
-    return list(itertools.islice(filter(wanted, itertools.count(first)), count))
-
-
-def known_names(suite: str) -> set[str]:
-    """Return the possible values of `--only`: kinds, plants, ways, effects, base parameters; none of some suites."""
-    return {*KINDS, *QUICK[suite][1], *QUICK[suite][2]} if suite in QUICK else set()
+    return list(itertools.islice(filter(wanted, range(first, first + FAR)), count))
 
 
 def conduct_here(suite: str, seed: int, refiner: Refiner, of_revision: str) -> Line:
@@ -242,25 +225,24 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("count", type=int, metavar="N", help="how many studies of each half")
     parser.add_argument("--half", choices=HALVES, default="both", help="the laboratory, the field, or both")
     parser.add_argument("--jobs", type=int, default=1, help="studies at a time (seconds are honest with 1)")
-    parser.add_argument("--only", nargs="+", default=[], metavar="NAME", help="kinds, plants, effects to draw")
+    parser.add_argument("--only", nargs="+", default=[], metavar="NAME", help="kinds, plants, ways, laboratory effects")
     parser.add_argument("--first", type=int, default=0, help="first seed; develop on others than you report")
-    parser.add_argument("--results", type=Path, default=RESULTS)
-    parser.add_argument("--command", default=command, help="refiner, with {study} and {out}")
-    parser.add_argument("--timeout", type=float, default=600.0, help="seconds a study may take")
     options = parser.parse_args(arguments)
     if options.count < 1 or options.jobs < 1 or options.first < 0:
         parser.error("N and --jobs are at least 1, --first at least 0")
     halves, of_revision = HALVES[options.half], revision()
-    if strangers := set(options.only).difference(*map(known_names, halves)):
-        parser.error(f"--only does not know {', '.join(sorted(strangers))}")
-    one = partial(conduct_here, refiner=CommandRefiner(options.command, options.timeout), of_revision=of_revision)
+    chosen = {half: seeds(half, options.count, options.first, options.only) for half in halves}
+    if not any(chosen.values()):
+        parser.error(f"no study of {options.half} has {', '.join(options.only)}")
+    refiner = partial(refine_by, command, TIMEOUT)
+    one = partial(conduct_here, refiner=refiner, of_revision=of_revision)
     lines, summaries = {}, {}
     for half in halves:
-        todo = [(half, seed) for seed in seeds(half, options.count, options.first, options.only)]
-        have = read(options.results, of_revision)
+        todo = [(half, seed) for seed in chosen[half]]
+        have = read(RESULTS, of_revision)
         missing = [key for key in todo if key not in have or have[key]["verdict"] == "failed"]
-        run(missing, one, options.results, options.jobs)
-        have = read(options.results, of_revision)
+        run(missing, one, RESULTS, options.jobs)
+        have = read(RESULTS, of_revision)
         lines[half] = [have[key] for key in todo]
     for half, judged in lines.items():
         print(score.table(half, judged), end="\n\n")

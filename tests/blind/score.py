@@ -9,8 +9,6 @@ Of mixed studies and the arm the parts of the truth count. A part is named if it
 answer, or if one of at most three rivals contains it.
 """
 
-from __future__ import annotations
-
 import math
 import re
 import statistics

@@ -1,13 +1,11 @@
 """Blind studies of the laboratory half: `draw(seed)` draws a study, `write(study, folder)` writes its logs.
 
-A study has two estimation logs and a sealed log of 40 s at 50 Hz, in closed loop with the pilot of `truth_pilot` and
+A study has two estimation logs and a sealed log of 40 s at 50 Hz, in closed loop with the pilot of `field_craft` and
 the craft of `truth_craft`. Row k holds the measurement at t_k and the command that acts from t_k on.
 
 Consecutive seeds are dealt from shuffled decks: any twenty contain 11 known, 5 nothing and 4 outside, and effects
 alternate. Sizes are those of a real rig (docs/blind.md).
 """
-
-from __future__ import annotations
 
 import json
 import math
@@ -17,8 +15,9 @@ from pathlib import Path
 
 import numpy as np
 
-from tests.blind.field_craft import CraftRig, craft, fly_craft, moving_start
+from tests.blind.field_craft import CraftRig, Pilot, craft, fly_craft, moving_start
 from tests.blind.field_rig import (
+    BLOCK,
     LOGS,
     Array,
     Course,
@@ -31,9 +30,7 @@ from tests.blind.field_rig import (
     random_stream,
     write_study,
 )
-from tests.blind.truth_craft import SHEET, STEP, Craft
-from tests.blind.truth_outside import OUTSIDE
-from tests.blind.truth_pilot import Pilot
+from tests.blind.truth_craft import OUTSIDE, SHEET, STEP, Craft, stranger
 
 
 def sizes(rng: Random) -> dict[str, dict[str, float]]:
@@ -96,11 +93,9 @@ NEED_POSITION = {
     *("gust", "tether", "ratchet_friction", "growing_friction", "table_bumps", "gyroscopic"),
 }
 NEED_DUTY = {"thrust_slope", "torque_reaction"}
-BLOCK = ("known",) * 11 + ("nothing",) * 5 + ("outside",) * 4  # of twenty consecutive seeds, in shuffled order
 PAIR, BASE_PAIR = "two effects", "two base parameters"
 KNOWN_DECK = (*EFFECTS, *BASE, *SENSORS, *(PAIR,) * 6, *(BASE_PAIR,) * 2)
 NOTHING_DECK = ("clean", "disturbed")
-NAMES = (*EFFECTS, *BASE, *SENSORS, *OUTSIDE)
 
 DURATION = 40.0  # [s]
 DISTURBANCE = (0.004, 0.004, 0.0002)  # forward, starboard [N], yaw [N m]: standard deviations
@@ -143,7 +138,7 @@ def draw(seed: int) -> Study:
         truth = {name: size(name, rng) for name in _names_of_card(card(KNOWN_DECK, number, 3)[0], rng)}
     elif kind == "outside":
         name, _ = card(tuple(OUTSIDE), number, 4)
-        truth = {name: {p: float(rng.uniform(*r)) for p, r in OUTSIDE[name].items()}}
+        truth = {name: stranger(name, rng)}
     else:
         disturbed = card(NOTHING_DECK, number, 5)[0] == "disturbed"
     imu_alone &= not truth.keys() & NEED_POSITION

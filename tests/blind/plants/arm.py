@@ -75,12 +75,8 @@ class Arm(Model):
     gravity_1: float = parameter(3.5, unit="N.m", bounds=(0, 50), tolerance=0.1, doc="weight moment of both about 1")
     gravity_2: float = parameter(0.8, unit="N.m", bounds=(0, 20), tolerance=0.1, doc="weight moment of link 2 about 2")
     rotor_2: float = parameter(0.005, unit="kg.m2", bounds=(0, 0.2), tolerance=0.2, doc="rotor of motor 2, geared")
-    viscous_1: float = parameter(
-        0.15, unit="N.m.s/rad", bounds=(0, 5), tolerance=0.3, doc="viscous friction of joint 1"
-    )
-    viscous_2: float = parameter(
-        0.05, unit="N.m.s/rad", bounds=(0, 5), tolerance=0.3, doc="viscous friction of joint 2"
-    )
+    viscous_1: float = parameter(0.15, unit="N.m.s/rad", bounds=(0, 5), tolerance=0.3, doc="viscous friction, joint 1")
+    viscous_2: float = parameter(0.05, unit="N.m.s/rad", bounds=(0, 5), tolerance=0.3, doc="viscous friction, joint 2")
 
     def equations(self, m: Namespace) -> Equations:
         """Bind the equations to a namespace.

@@ -93,11 +93,9 @@ class Cart(Model):
     cart_mass: float = parameter(1.0, unit="kg", bounds=(0.05, 50), tolerance=0.05, doc="mass of cart and motor")
     bob_mass: float = parameter(0.3, unit="kg", bounds=(0.01, 10), tolerance=0.1, doc="mass of the bob")
     length: float = parameter(0.5, unit="m", bounds=(0.05, 5), tolerance=0.02, doc="from pivot to bob")
-    cart_friction: float = parameter(
-        2.0, unit="N.s/m", bounds=(0, 50), tolerance=0.3, doc="viscous friction of the rail"
-    )
+    cart_friction: float = parameter(2.0, unit="N.s/m", bounds=(0, 50), tolerance=0.3, doc="viscous friction, rail")
     pivot_friction: float = parameter(
-        0.008, unit="N.m.s/rad", bounds=(0, 1), tolerance=0.3, doc="viscous friction of the pivot"
+        0.008, unit="N.m.s/rad", bounds=(0, 1), tolerance=0.3, doc="viscous friction, pivot"
     )
     gravity: float = parameter(9.81, unit="m/s2", bounds=(1, 30), doc="gravity")
 

@@ -92,18 +92,14 @@ class DriveTrain(Model):
     rate, substep, horizon = 0.005, 0.00125, 0.5
 
     motor_inertia: float = parameter(
-        0.004, unit="kg.m2", bounds=(1e-4, 0.1), tolerance=0.05, doc="inertia of the motor, from its data sheet"
+        0.004, unit="kg.m2", bounds=(1e-4, 0.1), tolerance=0.05, doc="inertia of the motor"
     )
-    load_inertia: float = parameter(
-        0.012, unit="kg.m2", bounds=(1e-4, 0.5), tolerance=0.2, doc="inertia of the load, from its drawing"
-    )
+    load_inertia: float = parameter(0.012, unit="kg.m2", bounds=(1e-4, 0.5), tolerance=0.2, doc="inertia of the load")
     stiffness: float = parameter(25.0, unit="N.m/rad", bounds=(1, 500), tolerance=0.1, doc="stiffness of the belt")
     motor_damping: float = parameter(
-        0.015, unit="N.m.s/rad", bounds=(0, 1), tolerance=0.3, doc="viscous friction of the motor"
+        0.015, unit="N.m.s/rad", bounds=(0, 1), tolerance=0.3, doc="viscous friction, motor"
     )
-    load_damping: float = parameter(
-        0.025, unit="N.m.s/rad", bounds=(0, 1), tolerance=0.3, doc="viscous friction of the load"
-    )
+    load_damping: float = parameter(0.025, unit="N.m.s/rad", bounds=(0, 1), tolerance=0.3, doc="viscous friction, load")
     belt_damping: float = parameter(0.05, unit="N.m.s/rad", bounds=(0, 1), doc="damping in the belt")
 
     def equations(self, m: Namespace) -> Equations:

@@ -119,9 +119,7 @@ class QuarterCar(Model):
 
     body_mass: float = parameter(300.0, unit="kg", bounds=(10, 5000), tolerance=0.05, doc="mass of the body, weighed")
     wheel_mass: float = parameter(40.0, unit="kg", bounds=(1, 500), tolerance=0.1, doc="mass of wheel and axle")
-    spring: float = parameter(
-        18000.0, unit="N/m", bounds=(1000, 1e6), tolerance=0.05, doc="stiffness of the spring, catalogue"
-    )
+    spring: float = parameter(18000.0, unit="N/m", bounds=(1000, 1e6), tolerance=0.05, doc="stiffness of the spring")
     damping: float = parameter(1200.0, unit="N.s/m", bounds=(10, 2e4), tolerance=0.3, doc="damping of the damper")
     tyre: float = parameter(180000.0, unit="N/m", bounds=(1e4, 2e6), tolerance=0.15, doc="stiffness of the tyre")
     table_lag: float = parameter(0.02, unit="s", bounds=(0.004, 0.5), tolerance=0.2, doc="lag of the table")

@@ -117,18 +117,10 @@ class Tanks(Model):
 
     area_left: float = parameter(0.02, unit="m2", bounds=(1e-3, 1), tolerance=0.03, doc="surface of the left tank")
     area_right: float = parameter(0.02, unit="m2", bounds=(1e-3, 1), tolerance=0.03, doc="surface of the right tank")
-    pipe: float = parameter(
-        1.2e-4, unit="m3/s", bounds=(1e-6, 1e-2), tolerance=0.3, doc="flow through the pipe per √(1 m) of difference"
-    )
-    outlet: float = parameter(
-        1.2e-4, unit="m3/s", bounds=(1e-6, 1e-2), tolerance=0.2, doc="flow through the outlet per √(1 m)"
-    )
-    gain_left: float = parameter(
-        6e-6, unit="m3/s/V", bounds=(1e-7, 1e-3), tolerance=0.1, doc="flow of the left pump per volt"
-    )
-    gain_right: float = parameter(
-        6e-6, unit="m3/s/V", bounds=(1e-7, 1e-3), tolerance=0.1, doc="flow of the right pump per volt"
-    )
+    pipe: float = parameter(1.2e-4, unit="m3/s", bounds=(1e-6, 1e-2), tolerance=0.3, doc="flow through it at 1 m")
+    outlet: float = parameter(1.2e-4, unit="m3/s", bounds=(1e-6, 1e-2), tolerance=0.2, doc="flow through it at 1 m")
+    gain_left: float = parameter(6e-6, unit="m3/s/V", bounds=(1e-7, 1e-3), tolerance=0.1, doc="flow of its pump")
+    gain_right: float = parameter(6e-6, unit="m3/s/V", bounds=(1e-7, 1e-3), tolerance=0.1, doc="flow of its pump")
 
     def equations(self, m: Namespace) -> Equations:
         """Bind the equations to a namespace.

@@ -2,6 +2,7 @@
    "DoStep segfault 5". Inputs 0..9, outputs 10..19; output 10 counts the steps. */
 #define _GNU_SOURCE
 #include <dlfcn.h>
+#include <fcntl.h>
 #include <math.h>
 #include <signal.h>
 #include <stdarg.h>
@@ -64,7 +65,35 @@ static int act(void) {
         _exit(0);
     }
     if (!strcmp(deed, "children")) { fork(); for (;;) pause(); }
+    if (!strcmp(deed, "grow") || !strcmp(deed, "orphan")) {
+        int ends[2];
+        char byte = 0;
+        sink = pipe(ends);
+        if (fork() == 0) {
+            if (deed[0] == 'o' && fork()) _exit(0); /* the parent of the orphan ends at once */
+            kept = malloc(330 << 20);
+            memset(kept, 1, 330 << 20);
+            sink = (int)write(ends[1], &byte, 1);
+            for (;;) pause();
+        }
+        sink = (int)read(ends[0], &byte, 1);
+    }
+    if (!strcmp(deed, "share")) { /* pages of parent and children, counted once */
+        kept = malloc(150 << 20); memset(kept, 1, 150 << 20);
+        for (int k = 0; k < 3; k++) if (fork() == 0) for (;;) pause();
+    }
+    if (strchr("gos", deed[0]) && strstr("grow orphan share", deed)) usleep(800000);
     if (!strcmp(deed, "close")) { for (int k = 0; k < 64; k++) close(k); for (;;) pause(); }
+    if (!strcmp(deed, "closes")) for (int k = 0; k <= 20; k++) close(k);
+    if (!strcmp(deed, "closes_all")) for (int k = 0; k < 1024; k++) close(k);
+    if (!strcmp(deed, "writes")) for (int k = 0; k < 1024; k++) sink = (int)write(k, "not a message of any protocol\n", 30);
+    if (!strcmp(deed, "reads"))
+        for (int k = 0; k < 1024; k++) {
+            char part[4096];
+            fcntl(k, F_SETFL, O_NONBLOCK);
+            sink = (int)read(k, part, sizeof part);
+        }
+    if (!strcmp(deed, "redirects")) for (int k = 0; k <= 20; k++) dup2(open("/dev/null", O_RDWR), k);
     if (!strcmp(deed, "pipe")) { char c; sink = (int)read(0, &c, 1); }
     if (!strcmp(deed, "slow")) usleep(20000);
     if (!strcmp(deed, "warning")) return WARNING;
