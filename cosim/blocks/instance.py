@@ -200,23 +200,23 @@ class Instance:
             DiskFull: The disk is full.
         """
         is_kept = self.fmu is not None
-        hidden = () if is_kept else claim(self.path)
+        if not is_kept:
+            claim(self.path)
         folder = self._folder or self._unpack()
         previous, self._words = os.getcwd(), ""
         try:
             if not is_kept:
-                self._load_code(folder, hidden)
+                self._load_code(folder)
             self._instantiate()
         except Exception as error:  # FMPy raises bare Exceptions; the FMU's own message explains more
             self.fmu = None
-            reason = "; ".join((self.last_words() or str(error), *hidden))
-            raise FmuError(f"{self.path} does not load: {reason}") from None
+            raise FmuError(f"{self.path} does not load: {self.last_words() or error}") from None
         finally:
             os.chdir(previous)  # FMPy changes to the FMU's folder
         if not is_kept and KEEPER in code_of(self.path).symbols:
             let_go_at_exit(folder)  # otherwise pythonfmu would release its objects twice at exit
 
-    def _load_code(self, folder: Path, hidden: Sequence[str]) -> None:
+    def _load_code(self, folder: Path) -> None:
         """Load the library; compile it first if it is missing and compilation is allowed."""
         identifier = str(self.about.modelIdentifier)
         library, warning = library_of(folder, self.description, identifier) or (None, "")
@@ -229,9 +229,9 @@ class Instance:
             with own_symbols_first(self.path, library):
                 self._load_library(folder, library)
         except Exception as error:  # FMPy raises bare Exceptions.
-            raise FmuError(load_error(library, error, hidden=bool(hidden))) from None
-        for text in filter(None, (warning, *hidden)):
-            self.remember(text)
+            raise FmuError(load_error(library, error)) from None
+        if warning:
+            self.remember(warning)
 
     def _unpack(self) -> Path:
         """Unpack the FMU unless this has been done; return the folder."""
