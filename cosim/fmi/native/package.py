@@ -14,7 +14,7 @@ from cosim.core.units import unit_of_rate
 from cosim.core.version import __version__
 from cosim.fmi.fmu_build import Recipe, digest, write_zip
 from cosim.fmi.model_description import ASSETS, TOOL, Description, describe, documentation
-from cosim.fmi.native.check import Check
+from cosim.fmi.native.check import check
 from cosim.fmi.native.compiler import commands, fmi_headers, glibc_floor, library_of
 from cosim.fmi.native.printing import ModelPrinter, variable_tables
 from cosim.fmi.ports import Port
@@ -88,7 +88,7 @@ def native_model(model: Model, recipe: Recipe, name: str) -> Native:
     """Return a model as a native FMU; raise UnprintableModel if the generated code differs from the model's Python."""
     printer = ModelPrinter(model, recipe.about.ports)
     body, sizes = printer.sources()
-    Check(model, printer).run()
+    check(model, printer)
     variables = [Port(f"{q.name}_state", "state", 0.0, q.unit, f"state: {q.doc}") for q in printer.states]
     for q in printer.states:
         unit = unit_of_rate(q.unit)
