@@ -335,16 +335,11 @@ class FmuBlock(FmuVariables):
         """Return True for a co-simulation FMU that declares that its state can be saved and restored."""
         return bool(self.instance.way == "co-simulation" and self.instance.about.canGetAndSetFMUstate)
 
-    def _state_function(self, verb: str) -> Any:
-        """Return FMPy's method for the FMU state, such as `getFMUState` for `get`."""
+    def _call_of_state(self, verb: str, *arguments: Any) -> Any:
+        """Call FMPy's method for the FMU state, such as `getFMUState` for `get`; a failure is a SimulationError."""
         is_fmi3 = self.instance.version == 3
         verb = "deSerialize" if verb == "deserialize" and not is_fmi3 else verb
-        return getattr(self.instance.fmu, f"{verb}FMU{'State' if is_fmi3 else 'state'}")
-
-    def _call_of_state(self, verb: str, *arguments: Any) -> Any:
-        """Call FMPy's method for the FMU state; a failure becomes a SimulationError."""
-        with self.instance.check_calls():
-            return self._state_function(verb)(*arguments)
+        return self.instance.call(f"{verb}FMU{'State' if is_fmi3 else 'state'}", *arguments)
 
     def save_state(self) -> Any:
         """Save the FMU state and return its handle, which `restore_state` or `free_state` frees."""
@@ -362,9 +357,9 @@ class FmuBlock(FmuVariables):
 
     def _serialize(self) -> bytes:
         """Return the FMU state as bytes; may raise any error of FMPy."""
-        state = self._state_function("get")()
-        content = bytes(self._state_function("serialize")(state))
-        self._state_function("free")(state)
+        state = self._call_of_state("get")
+        content = bytes(self._call_of_state("serialize", state))
+        self._call_of_state("free", state)
         return content
 
     def checkpoint(self) -> dict[str, Any] | None:
@@ -380,12 +375,9 @@ class FmuBlock(FmuVariables):
         return {"state": content, "time": self.instance.time, "log": log}
 
     def restore(self, state: dict[str, Any]) -> None:
-        self._deserialize(state["state"])
+        self.restore_state(self._call_of_state("deserialize", state["state"]))
         self.instance.time = state["time"]
         self.log.restore(state["log"])
-
-    def _deserialize(self, content: bytes) -> None:
-        self.restore_state(self._call_of_state("deserialize", content))
 
     # -- stepped by C -------------------------------------------------------------------------
 
@@ -452,15 +444,11 @@ class RestartableFmu(FmuBlock):
 
         FMUs of other tools raise ValueError, KeyError or TypeError.
         """
-        return own_of(self._state())
+        return own_of(self._serialize())
 
     def remember(self, memory: Memory) -> None:
         """Write memory into the state of an FMU built by cosim; start values can describe only a constant past."""
-        self._deserialize(with_memory(self._state(), memory))
-
-    def _state(self) -> bytes:
-        with self.instance.check_calls():
-            return self._serialize()
+        self.restore_state(self._call_of_state("deserialize", with_memory(self._serialize(), memory)))
 
     @cached_property
     def _is_ours(self) -> bool:
