@@ -22,7 +22,6 @@ FMU_COMPILE_LIMIT_S = 300.0  # time limit [s] of the compiler per FMU
 MAX_COMPILER_LINES, MAX_COMPILER_LINE_CHARACTERS = 20, 200  # excerpt of the compiler output: lines, characters per line
 OPTIMIZED = ("-O3", "-DNDEBUG", "-w")
 PLAIN_NAMES = ("-DFMI2_OVERRIDE_FUNCTION_PREFIX", "-DFMI3_OVERRIDE_FUNCTION_PREFIX")  # names of shared libraries
-ENTRY = {"1": "{identifier}_fmiGetVersion", "2": "fmi2GetVersion", "3": "fmi3GetVersion"}
 permission: ContextVar[bool] = ContextVar("compile the sources of FMUs", default=False)
 Answer = TypeVar("Answer")
 
@@ -74,12 +73,11 @@ def compile_library(folder: Path, description: Any, identifier: str) -> Path:
     folders = (SOURCES_FOLDER, *(f"{SOURCES_FOLDER}/{name}" for name in includes), fmi_headers())
     *first, last = (f"{SOURCES_FOLDER}/{name}" for name in names)
     libraries = ["-lm", *(["-lstdc++"] if any(name.lower().endswith(CPP_ENDINGS) for name in names) else [])]
-    entry = ENTRY[description.fmiVersion[0]].format(identifier=identifier)
     paths = sorted(path for path in root.rglob("*") if path.is_file())
     files_of_c = {f"{SOURCES_FOLDER}/{path.relative_to(root).as_posix()}": path.read_bytes() for path in paths}
     try:
         command = [*library_command(), *OPTIMIZED, *PLAIN_NAMES, *options, *(f"-I{part}" for part in folders), *first]
-        made = library_of(files_of_c, last, command, [entry], libraries=libraries, limit=FMU_COMPILE_LIMIT_S)
+        made = library_of(files_of_c, last, command, libraries=libraries, limit=FMU_COMPILE_LIMIT_S)
     except NoCompiler as error:
         raise FmuError(f"its sources cannot be compiled: {error}") from None
     except CompilerFailed as error:

@@ -54,10 +54,6 @@ class Native:
 SIZE_MACROS = ("STATES", "MEMORIES", "KINKS", "RANGES", "EFFECTS", "OWN", "EXCHANGE")
 FOLDER = Path(__file__).resolve().parent
 COMMON_SOURCES = ("floating.h", "near.h", "rk4.h", "stiff.h", "model.h", "instance.c", "fmi.c")
-EXPORTS = {
-    2: ("fmi2Instantiate", "fmi2DoStep", "fmi2GetReal"),
-    3: ("fmi3InstantiateCoSimulation", "fmi3DoStep", "fmi3GetFloat64"),
-}
 BUILD_DESCRIPTION = """<?xml version="1.0" encoding="UTF-8"?>
 <fmiBuildDescription fmiVersion="3.0">
   <BuildConfiguration modelIdentifier="{identifier}">
@@ -188,7 +184,7 @@ def build_native(native: Native, path: Path, fmi: int = 2, platforms: Sequence[s
     members["model.png" if is2 else "terminalsAndIcons/icon.png"] = (ASSETS / "model.png").read_bytes()
     floors = {}
     for platform, command in targets.items():
-        library = library_of(sources, "all.c", command, EXPORTS[fmi]).read_bytes()
+        library = library_of(sources, "all.c", command).read_bytes()
         members[f"binaries/{platform.folder(fmi)}/{identifier}{platform.suffix}"] = library
         floors[platform.name] = glibc_floor(library)
     members["modelDescription.xml"] = description(guid)

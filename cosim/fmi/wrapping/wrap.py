@@ -28,7 +28,6 @@ from cosim.fmi.native.compiler import (
     library_of,
     this_platform,
 )
-from cosim.fmi.native.package import EXPORTS
 from cosim.fmi.native.printing import number, quote, table
 from cosim.terms.code import TermCode
 
@@ -500,7 +499,7 @@ def _libraries(
                 at = f"binaries/{folder}/{library if library in libraries else libraries[0]}"
                 files_of_c = {**sources, "config.h": f"{config}#define ORIGINAL {quote(at)}\n".encode()}
                 more = ("-lm", "-ldl") if platform.suffix == ".so" else ("-lm",)
-                path = library_of(files_of_c, "all.c", command, EXPORTS[fmi], libraries=more)
+                path = library_of(files_of_c, "all.c", command, libraries=more)
                 made[f"binaries/{folder}/{library}"] = path.read_bytes()
             members |= made
         except (NoCompiler, CompilerFailed) as error:
