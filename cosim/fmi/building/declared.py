@@ -176,12 +176,6 @@ def _value_faults(kind: type[Model]) -> Faults:
 def _name_faults(kind: type[Model]) -> Faults:
     """Yield faults of names used twice, and of references to undefined names."""
     states, inputs, outputs = ([q.name for q in getattr(kind, name)] for name in SIGNAL_ATTRIBUTES)
-    lists = {"base_states": states, "inputs": inputs, "outputs": outputs}
-    lists |= {name: list(getattr(kind, name)) for name in ("forced", "calibrated", "measured")}
-    for attribute, names in lists.items():
-        for name, count in Counter(names).items():
-            if count > 1:
-                yield kind, attribute, f'{attribute} has {count} called "{name}"; give each its own name'
     if "time" in (*inputs, *outputs):
         yield kind, "", 'an input or output is called "time", the name of the time column of logs; give it another name'
     parameters = {p.name: not isinstance(p.default, bool) for p in parameters_of(kind)}
@@ -230,9 +224,6 @@ def _name_faults(kind: type[Model]) -> Faults:
             if name not in allowed:
                 hint = f"{did_you_mean(str(name), allowed)} (allowed: {', '.join(allowed) or 'none'})"
                 yield where, attribute, f'{getattr(where, "name", attribute)}: no {sort} "{name}"{hint}'
-    for name in kind.suspect:
-        if name in kind.calibrated:
-            yield kind, "suspect", f'"{name}" is also in calibrated; remove it from suspect'
 
 
 def _effect_faults(kind: type[Model]) -> Faults:
@@ -246,10 +237,8 @@ def _effect_faults(kind: type[Model]) -> Faults:
                 values = f"{p.default!r}, its neutral value {p.neutral!r}"
                 yield owner, p.name, f"the default of {owner.name}.{p.name} is {values}; they must be equal"
     for owner in kind.sensors:
-        names = [p.name for p in parameters_of(owner)]
-        if names != ["value"]:
-            has = f"{owner.name} has {' and '.join(names) or 'none'}"
-            yield owner, (names or [""])[0], f'a sensor error has one parameter, called "value"; {has}'
+        if [p.name for p in parameters_of(owner)] != ["value"]:
+            yield owner, "", f'a sensor error has one parameter, called "value"; change those of {owner.name}'
         if owner.outputs and owner.read is not SensorError.read and owner.readings is SensorError.readings:
             reason = "`read` returns one output, but the class declares several `outputs`"
             yield owner, "outputs", f"{owner.name}: {reason}; declare one `output` instead, or define `readings`"
@@ -262,9 +251,7 @@ def _effect_faults(kind: type[Model]) -> Faults:
         if issubclass(owner, Delay) and longest > owner.longest:
             late = f"allows a delay up to {longest:g} s but stores {owner.longest:g} s of history"
             yield owner, owner.delay, f"{owner.name} {late}; set longest = {longest:g}"
-        if owner not in order:
-            yield owner, "delay", f"{owner.name} delays the command but has no method `shape`; add it"
-        elif owner is not delays[0]:
+        if owner is not delays[0]:
             yield owner, "delay", f"{owner.name} and {delays[0].name} both delay the command; only one effect may"
         elif owner is not order[0]:
             yield kind, "catalogue", f"{owner.name} delays the command: put it before {order[0].name} in the catalogue"
