@@ -168,21 +168,16 @@ def _natives(loaded: LoadedModel, starts: Mapping[str, Mapping[str, Value]]) -> 
 
     try:
         yield "plant", native_model(loaded.model, loaded.recipe(), f"{type(loaded.model).__name__}Plant")
-    except (UnprintableModel, TypeError, AttributeError, RecursionError) as raised:
-        error: Exception = raised
-        if isinstance(raised, RecursionError):  # sympy 1.14 raises it for some nested minima and maxima
-            error = UnprintableModel("the symbolic derivatives of its equations are too large")
+    except (UnprintableModel, TypeError, AttributeError, RecursionError) as error:
         doing, cure = "cannot be printed as C", "use functions and branches of m in its equations, or omit --native"
         file = loaded.source.rpartition(":")[0]
-        text = ModelText(Path(file))
-        if not file:
-            fault = Fault(Path(loaded.source), 0, 0, f"{doing}: {error}; {cure}")
-        elif isinstance(error, UnprintableModel):
+        text = ModelText(Path(file or loaded.source))
+        if isinstance(error, UnprintableModel):
             owner, hook = error.owner or type(loaded.model), error.hook if error.owner else "equations"
             fault = text.fault(owner, hook, f"{doing}: {error}; {error.cure or cure}")
-        else:
+        else:  # RecursionError: of sympy 1.14 for some nested minima and maxima
             fault = text.convert_error(error, doing)
-        raise InputError([fault]) from raised
+        raise InputError([fault]) from error
     for name, recipe in model_entry(loaded.source).native.items() if is_model(loaded.source) else ():
         yield name, resolve(recipe)(starts.get(f"{name}.fmu"))
 

@@ -42,6 +42,7 @@ CURES = {  # words of an exception → cure
     "truth value of": (
         "do not use `if`, `max`, `min` or `and` on a number: m.where(condition, then, otherwise) works on symbols too"
     ),
+    "maximum recursion depth": "use fewer minima and maxima within each other",  # sympy 1.14
     **dict.fromkeys(OF_NUMBERS, f"use functions of m: {NAMESPACE_FUNCTIONS}"),
 }
 
