@@ -19,7 +19,7 @@ from cosim.files.files import FilePath, check_folder, named_path
 from cosim.files.yaml_file import YamlFile
 from cosim.fmi.building.declared import ModelText
 from cosim.fmi.building.file import LoadedModel, load_model
-from cosim.fmi.building.refined import NoNearest, refined_file
+from cosim.fmi.building.refined import refined_file
 from cosim.fmi.building.substep import with_substep
 from cosim.fmi.native.compiler import PLATFORMS, CompilerFailed, NoCompiler, commands
 from cosim.fmi.ports import Value
@@ -214,11 +214,7 @@ def designed_model(
     if text is None:
         registered = "".join(f"{name}, " for name in sorted(models()) if name != BASE)
         raise InputError.at(Path("--model"), f"is missing; give {registered}a model.yaml, or FILE.py:CLASS")
-    try:
-        file = refined_file(Path(text), nearest=nearest)
-    except NoNearest as error:
-        raise InputError.at(Path(text), str(error)) from None
-    loaded, _ = with_substep(load_model(str(file), Path()))
+    loaded, _ = with_substep(load_model(str(refined_file(Path(text), nearest=nearest)), Path()))
     if design is None:
         return loaded, {}
     entry = entry_of(type(loaded.model))

@@ -291,8 +291,11 @@ def _trial_faults(kind: type[Model], source: ModelText) -> list[Fault]:
         if faults:
             return faults
         for owner in model.catalogue:
-            switches = [p for p in parameters_of(owner) if p.neutral is not None and p.typical is not None]
-            typical = {p.name: min(max(p.neutral + p.typical, p.bounds[0]), p.bounds[1]) for p in switches}
+            typical = {
+                p.name: min(max(p.neutral + p.typical, p.bounds[0]), p.bounds[1])
+                for p in parameters_of(owner)
+                if p.neutral is not None and p.typical is not None
+            }
             doing = f"a step with {owner.name} raises"
             stepper = Stepper(model.with_effect(replace(owner(), **typical)))
             stepper.step(stepper.start(), model.start_command(), model.substep)

@@ -223,7 +223,7 @@ def only_model(path: Path) -> Model:
         raise InputError.at(
             path, f"has {len(own)} models; write {choice}" if own else f"has no model class; {SUBCLASS}"
         )
-    return make_model(*own, source)
+    return make_model(next(iter(own)), source)
 
 
 def own_terms(path: Path) -> list[type[Term]]:

@@ -61,7 +61,7 @@ def check(model: Model, printer: ModelPrinter) -> None:
         for k in range(TRIES):
             at = draw_point(model, printer, awake, switches, k, uniform)
             try:
-                python = [(*key, float(value)) for *key, value in evaluate(model, printer, names, at)]
+                python = [(name, hook, float(value)) for name, hook, value in evaluate(model, printer, names, at)]
                 generated = code(at, names)
             except (ArithmeticError, ValueError, TypeError):  # The model has no real value at this point.
                 continue
