@@ -15,13 +15,20 @@ from typing import Any, TypeVar
 from cosim.core.drafts import draft_of
 from cosim.core.errors import FmuError
 from cosim.fmi.description import C_ENDINGS, CPP_ENDINGS, library_file
-from cosim.fmi.native.compiler import CompilerFailed, NoCompiler, fmi_headers, library_command, library_of
+from cosim.fmi.native.compiler import (
+    POSITION,
+    CompilerFailed,
+    NoCompiler,
+    fmi_headers,
+    library_of,
+    required_compiler,
+)
 
 SOURCES_FOLDER = "sources"
 FMU_COMPILE_LIMIT_S = 300.0  # time limit [s] of the compiler per FMU
 MAX_COMPILER_LINES, MAX_COMPILER_LINE_CHARACTERS = 20, 200  # excerpt of the compiler output: lines, characters per line
-OPTIMIZED = ("-O3", "-DNDEBUG", "-w")
-PLAIN_NAMES = ("-DFMI2_OVERRIDE_FUNCTION_PREFIX", "-DFMI3_OVERRIDE_FUNCTION_PREFIX")  # names of shared libraries
+# optimized, with the names that functions have in shared libraries
+OPTIMIZED = ("-O3", "-DNDEBUG", "-w", "-DFMI2_OVERRIDE_FUNCTION_PREFIX", "-DFMI3_OVERRIDE_FUNCTION_PREFIX")
 permission: ContextVar[bool] = ContextVar("compile the sources of FMUs", default=False)
 Answer = TypeVar("Answer")
 
@@ -76,7 +83,8 @@ def compile_library(folder: Path, description: Any, identifier: str) -> Path:
     paths = sorted(path for path in root.rglob("*") if path.is_file())
     files_of_c = {f"{SOURCES_FOLDER}/{path.relative_to(root).as_posix()}": path.read_bytes() for path in paths}
     try:
-        command = [*library_command(), *OPTIMIZED, *PLAIN_NAMES, *options, *(f"-I{part}" for part in folders), *first]
+        includes_of_c = [f"-I{part}" for part in folders]
+        command = [*required_compiler(), "-shared", *POSITION, *OPTIMIZED, *options, *includes_of_c, *first]
         made = library_of(files_of_c, last, command, libraries=libraries, limit=FMU_COMPILE_LIMIT_S)
     except NoCompiler as error:
         raise FmuError(f"its sources cannot be compiled: {error}") from None

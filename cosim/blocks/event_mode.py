@@ -25,7 +25,7 @@ from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.instance import Instance, end_of
 from cosim.core.errors import FmuError, SimulationError, Terminated
 from cosim.files.archive import description_of
-from cosim.fmi.description import Way, takes_any_step
+from cosim.fmi.description import takes_any_step
 from cosim.fmi.fmi_types import Exchange, element_names
 
 ClockKind = Literal["constant", "fixed", "tunable", "changing", "countdown", "triggered"]
@@ -189,6 +189,7 @@ class EventFmu(FmuBlock):
     """
 
     clock_types = frozenset({"Clock"})
+    instance_class = EventInstance
     steps = True  # False if the FMU is not stepped (scheduled execution)
     instance: EventInstance
 
@@ -223,9 +224,6 @@ class EventFmu(FmuBlock):
         self._seen: list[list[Any]] = []
 
     # -- description ----------------------------------------------------------------------------
-
-    def _instance_class(self, way: Way | None) -> type[Instance]:
-        return EventInstance
 
     def _choose_variables(self, recorded: frozenset[str]) -> None:
         inputs, others = list[Signal](), list[Signal]()
@@ -539,12 +537,10 @@ class ScheduledInstance(EventInstance):
 class ScheduledFmu(EventFmu):
     """An FMU for scheduled execution."""
 
+    instance_class = ScheduledInstance
     steps = False
     has_jumped = is_stirred = False  # The partitions read the inputs when they run.
     instance: ScheduledInstance
-
-    def _instance_class(self, way: Way | None) -> type[Instance]:
-        return ScheduledInstance
 
     def start(self) -> None:
         super().start()

@@ -35,6 +35,7 @@ class FmuBlock(FmuVariables):
 
     Attributes:
         is_apart: True if the FMU runs in a process of its own.
+        instance_class: Class of the instance; None for the class of the interface.
         clock_types: FMI types of clocks, which are known but neither set nor read like variables of other types.
         instance: Instance of the FMU, of the class for its interface.
         log: Messages of the FMU.
@@ -54,6 +55,7 @@ class FmuBlock(FmuVariables):
     """
 
     is_apart = False
+    instance_class: type[Instance] | None = None
     clock_types: frozenset[str] = frozenset()
     _refuses = False  # True if the FMU fails to serialize its state although it declares this capability
     _arguments: tuple[Any, ...]
@@ -85,9 +87,13 @@ class FmuBlock(FmuVariables):
         self.name, self.path, self.description = name, path, description
         self.start_values, self.connected, self.feedthrough = start, connected, feedthrough
         self.compiles = permission.get() if compiles is None else compiles
-        self.instance = instance = self._instance_class(way)(
-            name, path, description, logging=logging, compiles=self.compiles
-        )
+        way, kind = way or ways(description)[0], self.instance_class
+        if kind is None:
+            if way == "scheduled-execution":
+                scenario = "components: {name: {fmu: FILE}}"
+                raise FmuError(f"{path} uses scheduled execution; run it by a scenario ({scenario})")
+            kind = Instance if way == "co-simulation" else ModelExchange
+        self.instance = instance = kind(name, path, description, logging=logging, compiles=self.compiles)
         declared = getattr(description.defaultExperiment, "tolerance", None)
         instance.tolerance = tolerance if tolerance is not None else float(declared) if declared else None
         if isinstance(instance, ModelExchange):
@@ -96,14 +102,6 @@ class FmuBlock(FmuVariables):
         # With steps of equal length, repeating a run of a pythonfmu FMU gives the same bits.
         self.nominal_step = instance.by_pythonfmu
         self._choose_variables(recorded)
-
-    def _instance_class(self, way: Way | None) -> type[Instance]:
-        way = way or ways(self.description)[0]
-        if way == "scheduled-execution":
-            raise FmuError(
-                f"{self.path} uses scheduled execution; run it by a scenario (components: {{name: {{fmu: FILE}}}})"
-            )
-        return Instance if way == "co-simulation" else ModelExchange
 
     def _choose_variables(self, recorded: frozenset[str]) -> None:
         names = self.connected | self.start_values.keys()

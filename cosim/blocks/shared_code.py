@@ -16,7 +16,7 @@ import zipfile
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
-from functools import cache, cached_property, lru_cache
+from functools import cached_property, lru_cache
 from pathlib import Path, PurePosixPath
 
 import numpy as np
@@ -151,7 +151,7 @@ class Code:
             return False
         from _ctypes import dlsym  # type: ignore[attr-defined, unused-ignore]
 
-        process = _process()
+        process = ctypes.CDLL(None)._handle
         for symbol in self.symbols:
             with suppress(OSError):
                 dlsym(process, symbol)
@@ -296,9 +296,3 @@ def own_symbols_first(path: Path, library: Path) -> Iterator[None]:
             from _ctypes import dlclose
 
             dlclose(handle)
-
-
-@cache
-def _process() -> int:
-    """Return the loader's handle of this process, for its symbols."""
-    return int(ctypes.CDLL(None)._handle)

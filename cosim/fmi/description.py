@@ -194,7 +194,7 @@ def platforms_among(names: Sequence[str]) -> list[str]:
 def no_library(here: str, platforms: Sequence[str]) -> str:
     """Return a message that an FMU has no library for this platform, with the cure."""
     others = ", ".join(p for p in platforms if p != C_CODE)
-    text = f"it has no library for {here}{f', only for {others}' if others else ' or another platform'}"
+    text = f"it has no library named as its modelIdentifier for {here}{f', only for {others}' if others else ''}"
     if C_CODE in platforms:
         text += "; to compile and run its sources, use --compile (in Python compile=True)"
     return text
@@ -208,24 +208,14 @@ def library_file(folder: Path, description: Any, identifier: str) -> Path:
 
 
 def library_of(folder: Path, description: Any, identifier: str) -> tuple[Path, str] | None:
-    """Return the library for this platform, and a warning if its file name is not the prescribed one.
-
-    Raises:
-        FmuError: There are several libraries, none with the prescribed name.
-    """
+    """Return the library for this platform, and a warning if its file name is not the prescribed one."""
     library = library_file(folder, description, identifier)
     if library.is_file():
         return library, ""
     libraries = sorted(library.parent.glob(f"*{library.suffix}"))
-    if len(libraries) == 1:
-        return libraries[0], f"its library is {libraries[0].name}, its modelIdentifier {identifier}"
-    if libraries:
-        names = ", ".join(p.name for p in libraries)
-        raise FmuError(
-            f"its modelIdentifier requires the library {library.name}, but its folder has only {names}; rename the "
-            "right library, or export the FMU again"
-        )
-    return None
+    if len(libraries) != 1:
+        return None
+    return libraries[0], f"its library is {libraries[0].name}, its modelIdentifier {identifier}"
 
 
 def matches(pattern: str, component: str, variable: str) -> bool:

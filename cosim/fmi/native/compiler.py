@@ -140,11 +140,6 @@ def fmi_headers() -> Path:
     return Path(fmpy.__file__).with_name("c-code")
 
 
-def library_command() -> list[str]:
-    """Return the command that compiles a library for this machine; raise NoCompiler without a compiler."""
-    return [*required_compiler(), "-shared", *POSITION]
-
-
 def cure(extra: str) -> str:
     """Return how to install a C compiler, as part of a message."""
     return f"install gcc or clang, name a compiler in CC, or {install_command(extra)}"
