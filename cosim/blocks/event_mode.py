@@ -265,7 +265,7 @@ class EventFmu(FmuBlock):
     def begin(self, start: float, stop: float) -> None:
         self._reset(start)
         super().begin(start, stop)
-        self.show_outputs([e for e in self.read if e.clocks])
+        self.show([e for e in self.read if e.clocks], {}, completed=True)
 
     def start(self) -> None:
         instance, start = self.instance, self.instance.start_time

@@ -213,7 +213,7 @@ class FmuBlock(FmuVariables):
             self.set_variables(self.start_values)
             instance.enter()
             self.set_variables(again)
-        self.show(self.start_values, readable=can_read)
+        self.show(self.inward, self.start_values, readable=can_read)
         self.watched = [] if self.changes_by_events and self.fed else None
 
     def start(self) -> None:
