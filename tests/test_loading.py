@@ -61,11 +61,11 @@ BROKEN: dict[str, tuple[Callable[[Path], bytes], tuple[str, ...]]] = {
         lambda folder: library().read_bytes().replace(b"GLIBC_2.2.5", b"GLIBC_9.9.9"),
         ("needs glibc 9.9.9, this machine has glibc 2.",),
     ),
-    "another processor": (patched(18, 183), ("AArch64", "x86-64")),
-    "other bits": (patched(4, 1), ("32 bits", "64")),
-    "another system": (lambda folder: b"MZ" + bytes(500), ("is made for Windows",)),
+    "another processor": (patched(18, 183), ("is no library for this machine",)),
+    "other bits": (patched(4, 1), ("is no library for this machine",)),
+    "another system": (lambda folder: b"MZ" + bytes(500), ("is no library for this machine (it begins with 4d 5a",)),
     "a pointer of git-lfs": (lambda folder: b"version https://git-lfs.github.com/spec/v1\noid", ("git lfs pull",)),
-    "nothing": (lambda folder: b"", ("is no library (it begins with nothing)",)),
+    "nothing": (lambda folder: b"", ("is no library for this machine (it begins with nothing)",)),
 }
 
 

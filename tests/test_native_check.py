@@ -117,7 +117,7 @@ def test_hooks_are_told_apart_by_a_text_and_memory_starts_by_the_models_rule(tmp
         ("#last", "left = m.where(self.order == 1.0, left, 2 * left)", "self.order =="),
         ("#last", "left = left if state[0] - state[1] != 0 else 0.0", "state[0] - state[1]"),
         ("self.order * state", "{2.0: 5.0}.get(self.order, 1.0) * state", "def equations"),
-        ("#last", "left = left * (1 + len(terms))", "\nclass Drag"),
+        ("#last", "left = left * (1 + len(terms))", "def equations"),
         ("#late", "def shape(self, m, t, h, u, memory): return u, memory", "def shape"),
         ("#more", "\n    ".join(f'k{i}: bool = parameter(True, unit="", doc="k")' for i in range(5)), "k4"),
         ("#last", "left = left % 3.0", "left % 3.0"),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import zipfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -24,7 +23,6 @@ from tests.amplifier import (
     with_symbol,
     without_library,
 )
-from tests.compiled import rewritten
 from tests.warm import cosim as command
 
 FORMS: dict[str, Callable[[Path, float], Path]] = {
@@ -87,16 +85,6 @@ def test_in_one_process_the_second_is_refused(tmp_path: Path) -> None:
     assert refused.value.exit_code == 3
 
 
-def test_a_module_that_the_process_has_loaded_before_is_named(tmp_path: Path) -> None:
-    fmu = tmp_path / "amp.fmu"
-    with zipfile.ZipFile(with_module(tmp_path / "h.fmu", 2.0)) as helped, zipfile.ZipFile(fmu, "w") as renamed:
-        for name in helped.namelist():
-            content = helped.read(name).replace(b"from helper import", b"from platform import")
-            renamed.writestr(name.replace("helper.py", "platform.py"), content)
-    done = command("simulate", fmu, "--stop", "1", "--step", "0.5", "--no-report", cwd=tmp_path)
-    assert (done.returncode, "module platform" in done.stderr) == (3, True)
-
-
 def test_equal_code_shares_a_process(tmp_path: Path) -> None:
     for k in (1, 2):
         with_library(tmp_path / str(k) / "amp.fmu", 3.0)
@@ -112,22 +100,6 @@ def test_an_fmu_calls_its_own_function_of_a_name_that_the_process_has_too(
 ) -> None:
     fmu = with_function(tmp_path / "own.fmu", name, 2.0, "")
     assert cosim.simulate(fmu, tmp_path / "out", in_process=in_process, **ENDS)["own.y"].tolist() == [2.0, 2.0, 2.0]
-
-
-LIBM = "libm.so.6"  # which Python has loaded
-
-
-def test_an_fmu_that_uses_a_library_of_the_process_in_place_of_its_own_is_warned_of(tmp_path: Path) -> None:
-    own = with_library(tmp_path / "own.fmu", 2.0, name="own.so", soname=LIBM, function="y1")
-    (loaded,) = {line.split()[-1] for line in Path("/proc/self/maps").read_text().splitlines() if LIBM in line}
-    same = tmp_path / "same.fmu"
-    rewritten(own, same, lambda name, data: Path(loaded).read_bytes() if LIBM in name else data)
-    for fmu, warned in ((own, 1), (same, 0)):
-        values, warnings = ran(tmp_path, fmu.name, fmu.name)
-        assert values[0] == pytest.approx(-0.7812128213)  # the Bessel function, not 2
-        assert [LIBM in w for w in warnings if w.startswith("a: ")] == [True] * warned
-        for checked, count in ((tmp_path / "two.yaml", 2 * warned), (fmu, warned)):
-            assert sum(LIBM in line and loaded in line for line in cosim.check(checked)) == count
 
 
 BIAS = TermCode(

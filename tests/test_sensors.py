@@ -131,7 +131,7 @@ def test_the_motors_turn_the_heading_that_a_magnetometer_reads_by_their_thrust_a
     ("old", "new", "message"),
     [
         ('outputs=("x", "y"), others', 'outputs=("x", "z"), others', 'no output "z"'),
-        ("(m.cos(psi), m.sin(psi))", "(m.cos(psi),)", "`carried` of marker_lever_arm raises"),
+        ("(m.cos(psi), m.sin(psi))", "(m.cos(psi),)", "marker_lever_arm raises"),
         ('input="force"', 'input="forse"', 'no input "forse"; did you mean "force"?'),
         ('value=size("rad/s",', 'more=size("rad/s",', '"value"'),
         ('output="rate", value=size("rad/s2"', 'outputs=("rate", "ahead"), value=size("rad/s2"',

@@ -15,7 +15,7 @@ import ctypes
 import math
 from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 from xml.etree import ElementTree
@@ -25,28 +25,13 @@ from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.instance import Instance, end_of
 from cosim.core.errors import FmuError, SimulationError, Terminated
 from cosim.files.archive import description_of
-from cosim.fmi.description import Way, takes_any_step
+from cosim.fmi.description import takes_any_step
 from cosim.fmi.fmi_types import Exchange, element_names
 
 ClockKind = Literal["constant", "fixed", "tunable", "changing", "countdown", "triggered"]
 PERIODIC = ("constant", "fixed", "tunable")
 CLOCK_NUMBERS = {"intervalDecimal", "intervalCounter", "resolution", "shiftDecimal", "shiftCounter", "priority"}
 LOWEST = 2**31  # priority of a clock without one: after all others
-
-
-@dataclass(frozen=True)
-class Timing:
-    """Times of a clock's ticks, from the scenario.
-
-    Attributes:
-        interval: Time [s] between two ticks.
-        shift: Time [s] from the start of the run to the first tick.
-        at: Times of all ticks [s] in order, instead of `interval`.
-    """
-
-    interval: float | None = None
-    shift: float | None = None
-    at: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -84,39 +69,31 @@ def read_clocks(path: Path, description: Any) -> dict[str, Clock]:
     types = {node.get("name"): node.attrib for node in root.iter("ClockType")}
     clocks = {}
     for node in root.iter("Clock"):
-        name = node.get("name", "")
-        if name in variables:
-            attributes = {**types.get(node.get("declaredType"), {}), **node.attrib}
-            numbers = {key: _number(path, name, key, attributes[key]) for key in CLOCK_NUMBERS & attributes.keys()}
-            kind, resolution = attributes.get("intervalVariability", "triggered"), numbers.get("resolution", 1.0)
-            interval = numbers.get("intervalDecimal")
+        if (variable := variables.get(node.get("name"))) is None:
+            continue
+        attributes = {**types.get(node.get("declaredType"), {}), **node.attrib}
+        kind, interval, shift = attributes.get("intervalVariability", "triggered"), None, math.nan
+        with suppress(ValueError, ArithmeticError):  # text, or a resolution of 0
+            numbers = {key: float(attributes[key]) for key in CLOCK_NUMBERS & attributes.keys()}
+            resolution, interval = numbers.get("resolution", 1.0), numbers.get("intervalDecimal")
             if interval is None and "intervalCounter" in numbers:
                 interval = numbers["intervalCounter"] / resolution
-            variable = variables[name]
-            clocks[name] = clock = Clock(
-                name,
-                variable.valueReference,
-                kind,  # type: ignore[arg-type]  # checked by FMPy against the schema
-                variable.causality,
-                interval if kind in PERIODIC else None,
-                numbers.get("shiftDecimal") or numbers.get("shiftCounter", 0.0) / resolution,
-                int(numbers.get("priority", LOWEST)),
-                frozenset(clock.name for clock in variable.clocks or ()),
-            )
-            if clock.interval is not None and not clock.interval > 0.0:
-                raise FmuError(
-                    f"{path} is not a valid FMU: the interval of clock {name} is {clock.interval:g} s; it must be "
-                    "above 0 s for a periodic clock, at least 0 s for others"
-                )
+            priority = int(numbers.get("priority", LOWEST))
+            shift = numbers.get("shiftDecimal") or numbers.get("shiftCounter", 0.0) / resolution
+        if not math.isfinite(shift) or (kind in PERIODIC and interval is not None and not 0.0 < interval < math.inf):
+            reason = f"interval, shift and priority of clock {variable.name} must be numbers, a period above 0 s"
+            raise FmuError(f"{path} is not a valid FMU: {reason}")
+        clocks[variable.name] = Clock(
+            variable.name,
+            variable.valueReference,
+            kind,  # type: ignore[arg-type]  # checked by FMPy against the schema
+            variable.causality,
+            interval if kind in PERIODIC else None,
+            shift,
+            priority,
+            frozenset(clock.name for clock in variable.clocks or ()),
+        )
     return clocks
-
-
-def _number(path: Path, clock: str, key: str, text: str) -> float:
-    """Return a number of the model description; raise FmuError for other text."""
-    with suppress(ValueError):
-        if math.isfinite(number := float(text)) and (number > 0.0 or key != "resolution"):
-            return number
-    raise FmuError(f'{path} is not a valid FMU: {f"{key} of the clock {clock}"} is "{text}", which is no number')
 
 
 @dataclass
@@ -124,31 +101,29 @@ class Timer:
     """Times of a clock's ticks, computed as base + count·interval.
 
     Attributes:
-        base: Time [s] of tick 0 of the current interval.
+        base: Time [s] of tick 0 of the current interval; infinity if unknown.
         count: Number of ticks since `base`.
         interval: Current interval [s]; None: only the tick at `base` is known.
         times: Times of all ticks [s], if the scenario lists them.
-        is_set: True if the time of the next tick is known.
     """
 
-    base: float = 0.0
+    base: float = math.inf
     count: int = 0
     interval: float | None = None
-    times: Sequence[float] = field(default_factory=tuple)
-    is_set: bool = False
+    times: Sequence[float] = ()
 
     @property
     def next(self) -> float:
         """Return the time [s] of the next tick, or infinity if there is none."""
-        if self.is_set and self.times:
+        if self.times:
             return self.times[self.count] if self.count < len(self.times) else math.inf
-        if not self.is_set or (self.interval is None and self.count > 0):
+        if self.interval is None and self.count > 0:
             return math.inf
         return self.base + self.count * (self.interval or 0.0)
 
     def begin(self, base: float, interval: float | None = None, count: int = 0) -> None:
         """Start the timer: a single tick at `base` [s], or a tick every `interval` [s] from number `count` on."""
-        self.base, self.count, self.interval, self.is_set = base, count, interval, True
+        self.base, self.count, self.interval = base, count, interval
 
 
 NOT_YET_KNOWN, UNCHANGED, CHANGED = range(3)  # fmi3IntervalQualifier
@@ -209,11 +184,12 @@ class EventFmu(FmuBlock):
         active: Clocks that tick at the current event or communication point.
 
     Args:
-        timings: Clock → times of its ticks from the scenario.
+        timings: Clock → `interval`, `shift` and `at` of its ticks [s], from the scenario.
         jumping: Inputs whose sources change discontinuously.
     """
 
     clock_types = frozenset({"Clock"})
+    instance_class = EventInstance
     steps = True  # False if the FMU is not stepped (scheduled execution)
     instance: EventInstance
 
@@ -225,7 +201,7 @@ class EventFmu(FmuBlock):
         start: Mapping[str, Any],
         connected: frozenset[str],
         *,
-        timings: Mapping[str, Timing] | None = None,
+        timings: Mapping[str, Any] | None = None,
         jumping: frozenset[str] = frozenset(),
         **settings: Any,
     ) -> None:
@@ -248,9 +224,6 @@ class EventFmu(FmuBlock):
         self._seen: list[list[Any]] = []
 
     # -- description ----------------------------------------------------------------------------
-
-    def _instance_class(self, way: Way | None) -> type[Instance]:
-        return EventInstance
 
     def _choose_variables(self, recorded: frozenset[str]) -> None:
         inputs, others = list[Signal](), list[Signal]()
@@ -292,7 +265,7 @@ class EventFmu(FmuBlock):
     def begin(self, start: float, stop: float) -> None:
         self._reset(start)
         super().begin(start, stop)
-        self.show_outputs([e for e in self.read if e.clocks])
+        self.show([e for e in self.read if e.clocks], {}, completed=True)
 
     def start(self) -> None:
         instance, start = self.instance, self.instance.start_time
@@ -303,7 +276,7 @@ class EventFmu(FmuBlock):
                 if clock.kind == "triggered":
                     if timing is not None:
                         first = start + (timing.shift or 0.0)
-                        self.timers[clock.name] = Timer(first, interval=timing.interval, times=timing.at, is_set=True)
+                        self.timers[clock.name] = Timer(first, interval=timing.interval, times=timing.at)
                     continue
                 self.timers[clock.name] = timer = Timer()
                 interval = clock.interval
@@ -564,12 +537,10 @@ class ScheduledInstance(EventInstance):
 class ScheduledFmu(EventFmu):
     """An FMU for scheduled execution."""
 
+    instance_class = ScheduledInstance
     steps = False
     has_jumped = is_stirred = False  # The partitions read the inputs when they run.
     instance: ScheduledInstance
-
-    def _instance_class(self, way: Way | None) -> type[Instance]:
-        return ScheduledInstance
 
     def start(self) -> None:
         super().start()

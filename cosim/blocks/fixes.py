@@ -11,7 +11,6 @@ from cosim.blocks.component import Component, Signal
 from cosim.blocks.faults import stream
 
 COUNT = "fix"  # name of the counting output
-SAVED_ATTRIBUTES = "_point", "_measured", "_count", "_values", "_errors", "_opening"  # attributes in a checkpoint
 
 
 def fix_outputs(signals: Iterable[str]) -> list[str]:
@@ -52,7 +51,6 @@ class Fixes(Component):
             (stream(seed, f"{name}.{n}"), math.sqrt(variance), bias) for n, (_, variance, bias) in signals.items()
         ]
         self._losses = stream(seed, f"{name} dropout")
-        self._streams = [*(rng for rng, _, _ in self._noise), self._losses]
         self._late = math.ceil(latency / step - 1e-9)
         self._point, self._measured, self._count = 0, 0, 0
         self._values = [0.0] * len(self.inputs)
@@ -92,17 +90,6 @@ class Fixes(Component):
         while self._queue and self._queue[0][0] <= self._point:
             self._values = self._queue.popleft()[1]
             self._count += 1
-
-    def checkpoint(self) -> dict[str, Any]:
-        state = {name: getattr(self, name) for name in SAVED_ATTRIBUTES}
-        return state | {"queue": [*self._queue], "random": [rng.bit_generator.state for rng in self._streams]}
-
-    def restore(self, state: dict[str, Any]) -> None:
-        for name in SAVED_ATTRIBUTES:
-            setattr(self, name, state[name])
-        self._queue = deque((point, values) for point, values in state["queue"])
-        for rng, saved in zip(self._streams, state["random"], strict=True):
-            rng.bit_generator.state = saved
 
     def slot(self, cells: Any) -> str:
         """Return why the C loop cannot step this component."""

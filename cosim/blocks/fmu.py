@@ -35,6 +35,7 @@ class FmuBlock(FmuVariables):
 
     Attributes:
         is_apart: True if the FMU runs in a process of its own.
+        instance_class: Class of the instance; None for the class of the interface.
         clock_types: FMI types of clocks, which are known but neither set nor read like variables of other types.
         instance: Instance of the FMU, of the class for its interface.
         log: Messages of the FMU.
@@ -54,6 +55,7 @@ class FmuBlock(FmuVariables):
     """
 
     is_apart = False
+    instance_class: type[Instance] | None = None
     clock_types: frozenset[str] = frozenset()
     _refuses = False  # True if the FMU fails to serialize its state although it declares this capability
     _arguments: tuple[Any, ...]
@@ -85,9 +87,13 @@ class FmuBlock(FmuVariables):
         self.name, self.path, self.description = name, path, description
         self.start_values, self.connected, self.feedthrough = start, connected, feedthrough
         self.compiles = permission.get() if compiles is None else compiles
-        self.instance = instance = self._instance_class(way)(
-            name, path, description, logging=logging, compiles=self.compiles
-        )
+        way, kind = way or ways(description)[0], self.instance_class
+        if kind is None:
+            if way == "scheduled-execution":
+                scenario = "components: {name: {fmu: FILE}}"
+                raise FmuError(f"{path} uses scheduled execution; run it by a scenario ({scenario})")
+            kind = Instance if way == "co-simulation" else ModelExchange
+        self.instance = instance = kind(name, path, description, logging=logging, compiles=self.compiles)
         declared = getattr(description.defaultExperiment, "tolerance", None)
         instance.tolerance = tolerance if tolerance is not None else float(declared) if declared else None
         if isinstance(instance, ModelExchange):
@@ -96,14 +102,6 @@ class FmuBlock(FmuVariables):
         # With steps of equal length, repeating a run of a pythonfmu FMU gives the same bits.
         self.nominal_step = instance.by_pythonfmu
         self._choose_variables(recorded)
-
-    def _instance_class(self, way: Way | None) -> type[Instance]:
-        way = way or ways(self.description)[0]
-        if way == "scheduled-execution":
-            raise FmuError(
-                f"{self.path} uses scheduled execution; run it by a scenario (components: {{name: {{fmu: FILE}}}})"
-            )
-        return Instance if way == "co-simulation" else ModelExchange
 
     def _choose_variables(self, recorded: frozenset[str]) -> None:
         names = self.connected | self.start_values.keys()
@@ -215,7 +213,7 @@ class FmuBlock(FmuVariables):
             self.set_variables(self.start_values)
             instance.enter()
             self.set_variables(again)
-        self.show(self.start_values, readable=can_read)
+        self.show(self.inward, self.start_values, readable=can_read)
         self.watched = [] if self.changes_by_events and self.fed else None
 
     def start(self) -> None:
@@ -335,16 +333,11 @@ class FmuBlock(FmuVariables):
         """Return True for a co-simulation FMU that declares that its state can be saved and restored."""
         return bool(self.instance.way == "co-simulation" and self.instance.about.canGetAndSetFMUstate)
 
-    def _state_function(self, verb: str) -> Any:
-        """Return FMPy's method for the FMU state, such as `getFMUState` for `get`."""
+    def _call_of_state(self, verb: str, *arguments: Any) -> Any:
+        """Call FMPy's method for the FMU state, such as `getFMUState` for `get`; a failure is a SimulationError."""
         is_fmi3 = self.instance.version == 3
         verb = "deSerialize" if verb == "deserialize" and not is_fmi3 else verb
-        return getattr(self.instance.fmu, f"{verb}FMU{'State' if is_fmi3 else 'state'}")
-
-    def _call_of_state(self, verb: str, *arguments: Any) -> Any:
-        """Call FMPy's method for the FMU state; a failure becomes a SimulationError."""
-        with self.instance.check_calls():
-            return self._state_function(verb)(*arguments)
+        return self.instance.call(f"{verb}FMU{'State' if is_fmi3 else 'state'}", *arguments)
 
     def save_state(self) -> Any:
         """Save the FMU state and return its handle, which `restore_state` or `free_state` frees."""
@@ -362,9 +355,9 @@ class FmuBlock(FmuVariables):
 
     def _serialize(self) -> bytes:
         """Return the FMU state as bytes; may raise any error of FMPy."""
-        state = self._state_function("get")()
-        content = bytes(self._state_function("serialize")(state))
-        self._state_function("free")(state)
+        state = self._call_of_state("get")
+        content = bytes(self._call_of_state("serialize", state))
+        self._call_of_state("free", state)
         return content
 
     def checkpoint(self) -> dict[str, Any] | None:
@@ -380,12 +373,9 @@ class FmuBlock(FmuVariables):
         return {"state": content, "time": self.instance.time, "log": log}
 
     def restore(self, state: dict[str, Any]) -> None:
-        self._deserialize(state["state"])
+        self.restore_state(self._call_of_state("deserialize", state["state"]))
         self.instance.time = state["time"]
         self.log.restore(state["log"])
-
-    def _deserialize(self, content: bytes) -> None:
-        self.restore_state(self._call_of_state("deserialize", content))
 
     # -- stepped by C -------------------------------------------------------------------------
 
@@ -452,15 +442,11 @@ class RestartableFmu(FmuBlock):
 
         FMUs of other tools raise ValueError, KeyError or TypeError.
         """
-        return own_of(self._state())
+        return own_of(self._serialize())
 
     def remember(self, memory: Memory) -> None:
         """Write memory into the state of an FMU built by cosim; start values can describe only a constant past."""
-        self._deserialize(with_memory(self._state(), memory))
-
-    def _state(self) -> bytes:
-        with self.instance.check_calls():
-            return self._serialize()
+        self.restore_state(self._call_of_state("deserialize", with_memory(self._serialize(), memory)))
 
     @cached_property
     def _is_ours(self) -> bool:

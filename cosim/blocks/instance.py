@@ -200,23 +200,23 @@ class Instance:
             DiskFull: The disk is full.
         """
         is_kept = self.fmu is not None
-        hidden = () if is_kept else claim(self.path)
+        if not is_kept:
+            claim(self.path)
         folder = self._folder or self._unpack()
         previous, self._words = os.getcwd(), ""
         try:
             if not is_kept:
-                self._load_code(folder, hidden)
+                self._load_library(folder)
             self._instantiate()
         except Exception as error:  # FMPy raises bare Exceptions; the FMU's own message explains more
             self.fmu = None
-            reason = "; ".join((self.last_words() or str(error), *hidden))
-            raise FmuError(f"{self.path} does not load: {reason}") from None
+            raise FmuError(f"{self.path} does not load: {self.last_words() or error}") from None
         finally:
             os.chdir(previous)  # FMPy changes to the FMU's folder
         if not is_kept and KEEPER in code_of(self.path).symbols:
             let_go_at_exit(folder)  # otherwise pythonfmu would release its objects twice at exit
 
-    def _load_code(self, folder: Path, hidden: Sequence[str]) -> None:
+    def _load_library(self, folder: Path) -> None:
         """Load the library; compile it first if it is missing and compilation is allowed."""
         identifier = str(self.about.modelIdentifier)
         library, warning = library_of(folder, self.description, identifier) or (None, "")
@@ -225,13 +225,19 @@ class Instance:
             if not self._compiles or C_CODE not in platforms:
                 raise FmuError(no_library(platform_of(self.description), platforms))
             library = compile_library(folder, self.description, identifier)
+        kind = with_known_signatures(f"fmpy.fmi{self.version}", f"FMU{self.version}{self.fmpy_class}")
+        # FMPy derives the library's path from the identifier. In FMI 1.0 the names of functions begin with it.
+        names = {"modelIdentifier": library.stem}
+        if self.version == 1:
+            names = {"modelIdentifier": identifier, "libraryPath": str(library)}
+        self._functions: dict[tuple[Any, str], Any] = {}
         try:
             with own_symbols_first(self.path, library):
-                self._load_library(folder, library)
+                self.fmu = kind(guid=self.description.guid, unzipDirectory=str(folder), instanceName=self.name, **names)
         except Exception as error:  # FMPy raises bare Exceptions.
-            raise FmuError(load_error(library, error, hidden=bool(hidden))) from None
-        for text in filter(None, (warning, *hidden)):
-            self.remember(text)
+            raise FmuError(load_error(library, error)) from None
+        if warning:
+            self.remember(warning)
 
     def _unpack(self) -> Path:
         """Unpack the FMU unless this has been done; return the folder."""
@@ -284,16 +290,6 @@ class Instance:
         if self._folder is not None and self._folder != self.place and not self.keeps_library:
             shutil.rmtree(self._folder, ignore_errors=True)
             self._folder = None
-
-    def _load_library(self, folder: Path, library: Path) -> None:
-        """Load the library; may raise any error of FMPy."""
-        kind = with_known_signatures(f"fmpy.fmi{self.version}", f"FMU{self.version}{self.fmpy_class}")
-        # FMPy derives the library's path from the identifier. In FMI 1.0 the names of functions begin with it.
-        names = {"modelIdentifier": library.stem}
-        if self.version == 1:
-            names = {"modelIdentifier": str(self.about.modelIdentifier), "libraryPath": str(library)}
-        self._functions: dict[tuple[Any, str], Any] = {}
-        self.fmu = kind(guid=self.description.guid, unzipDirectory=str(folder), instanceName=self.name, **names)
 
     def _instantiate(self) -> None:
         """Instantiate the FMU. pythonfmu's FMUs need debug logging, since only debug messages contain reasons."""
@@ -454,15 +450,12 @@ class Instance:
 
     def _end_time(self) -> float | None:
         """Return the end time [s] if the FMU discarded a step to end the simulation; otherwise None."""
-        try:
-            if self.version != 2 or not self.fmu.getBooleanStatus(TERMINATED):
-                return None
-        except Exception:  # the function is optional
-            return None
-        try:
-            return max(self.time, float(self.fmu.getRealStatus(LAST_SUCCESSFUL)))
-        except Exception:
-            return self.time
+        reached = None
+        with suppress(Exception):  # FMPy raises bare Exceptions; the functions are optional
+            if self.version == 2 and self.fmu.getBooleanStatus(TERMINATED):
+                reached = self.time
+                reached = max(reached, float(self.fmu.getRealStatus(LAST_SUCCESSFUL)))
+        return reached
 
 
 def end_of(name: str, reached: float) -> EarlyEnd:

@@ -16,14 +16,13 @@ import zipfile
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
-from functools import cache, cached_property, lru_cache
+from functools import cached_property, lru_cache
 from pathlib import Path, PurePosixPath
-from zlib import crc32
 
 import numpy as np
 
 from cosim.core.errors import FmuError
-from cosim.core.messages import CheckNote, CheckWarning
+from cosim.core.messages import CheckNote
 from cosim.files.archive import DAMAGES, DESCRIPTION
 
 ELF_MAGIC = b"\x7fELF\x02\x01"
@@ -58,15 +57,8 @@ class ElfLibrary:
     has_variables: bool = True
 
 
-def read_elf(content: bytes, *, symbols: bool = True) -> ElfLibrary:
-    """Return the names of a library, if asked with its symbols; none for another kind of file and a damaged one."""
-    if content.startswith(ELF_MAGIC):
-        with suppress(struct.error, ValueError, IndexError, OverflowError):
-            return _read(content, symbols)
-    return ElfLibrary()
-
-
-def _read(content: bytes, with_symbols: bool) -> ElfLibrary:
+def _read(content: bytes) -> ElfLibrary:
+    """Return the names and symbols of a library; raise struct.error, ValueError or IndexError for a damaged one."""
     (first,) = struct.unpack_from("<Q", content, 40)
     size, count, of_names = struct.unpack_from("<HHH", content, 58)
     sections = [struct.unpack_from("<IIQQQQI", content, first + k * size) for k in range(count)]
@@ -83,14 +75,14 @@ def _read(content: bytes, with_symbols: bool) -> ElfLibrary:
                     elf.needed.add(text(strings + value))
                 elif tag == SONAME:
                     elf.soname = text(strings + value)
-        elif kind == DYNAMIC_SYMBOLS and with_symbols:
+        elif kind == DYNAMIC_SYMBOLS:
             strings = sections[link][4]
             symbols = np.frombuffer(content, ELF_SYMBOL, length // ELF_SYMBOL.itemsize, offset)
             binding, is_visible = symbols["info"] >> 4, np.isin(symbols["other"] & 3, VISIBLE)
             is_defined = (symbols["section"] != 0) & (symbols["size"] > 0) & is_visible & np.isin(binding, EXPORTED)
             elf.defined |= {text(strings + name) for name in symbols["name"][is_defined].tolist()}
             elf.unique |= {text(strings + name) for name in symbols["name"][is_defined & (binding == UNIQUE)].tolist()}
-        elif kind == ALL_SYMBOLS and with_symbols:
+        elif kind == ALL_SYMBOLS:
             strings = sections[link][4]
             symbols = np.frombuffer(content, ELF_SYMBOL, length // ELF_SYMBOL.itemsize, offset)
             names = [text(sections[of_names][4] + name) for name, *_ in sections]
@@ -132,29 +124,23 @@ class Code:
     """Code of an FMU: name → digest of its content.
 
     Attributes:
-        wanted: Code that this FMU looks up by name: libraries that others need, unique symbols, modules.
-        offered: Code that another FMU could find by name.
+        named: Code that the process finds by name: libraries that other libraries need, unique symbols, modules.
         symbols: Symbols that the FMU's libraries define.
         needed: Libraries that the FMU's libraries need.
-        libraries: Name and digest of each library in the FMU.
-        modules: Python module → checksum of its file.
         has_variables: Whether instances share variables of a library, as far as is known.
         has_resources: Whether the FMU has files that an instance may change.
     """
 
-    wanted: dict[str, str] = field(default_factory=dict)
-    offered: dict[str, str] = field(default_factory=dict)
+    named: dict[str, str] = field(default_factory=dict)
     symbols: set[str] = field(default_factory=set)
     needed: set[str] = field(default_factory=set)
-    libraries: set[tuple[str, str]] = field(default_factory=set)
-    modules: dict[str, int] = field(default_factory=dict)
     has_variables: bool = True
     has_resources: bool = True
 
     @cached_property
     def common(self) -> frozenset[str]:
         """Return the names of code whose global data several FMUs of a process have in common."""
-        return frozenset({*self.wanted, *(name for name in self.needed if not OF_SYSTEM.match(name))})
+        return frozenset({*self.named, *(name for name in self.needed if not OF_SYSTEM.match(name))})
 
     @cached_property
     def needs_own_symbols(self) -> bool:
@@ -165,7 +151,7 @@ class Code:
             return False
         from _ctypes import dlsym  # type: ignore[attr-defined, unused-ignore]
 
-        process = _process()
+        process = ctypes.CDLL(None)._handle
         for symbol in self.symbols:
             with suppress(OSError):
                 dlsym(process, symbol)
@@ -174,9 +160,8 @@ class Code:
 
     def clash(self, other: Code) -> str:
         """Return a name under which both FMUs have different code; "" if there is none."""
-        pairs = (self.wanted, other.offered), (other.wanted, self.offered)
-        names = [n for one, two in pairs for n in one.keys() & two.keys() if one[n] != two[n]]
-        return min(names, default="")
+        common = self.named.keys() & other.named.keys()
+        return min((name for name in common if self.named[name] != other.named[name]), default="")
 
 
 def code_of(path: Path) -> Code:
@@ -203,21 +188,19 @@ def _code_of(path: Path, _changed: int, _size: int, _file: int) -> Code:
             if not (is_of_here and LIBRARY.fullmatch(info.filename)):
                 continue
             name, digest = PurePosixPath(info.filename).name, _digest(info)
-            elf = read_elf(archive.read(info)) if sys.platform.startswith("linux") else ElfLibrary()
-            code.libraries |= {(n, digest) for n in (name, elf.soname)}
-            names = {f"library {n}": digest for n in (name, elf.soname) if n}
-            unique = {f"C++ symbol {n}": digest for n in elf.unique if not OF_STD.match(n)}
-            is_fmu = name.partition(".")[0] in own or not elf.defined.isdisjoint(versions)
+            elf, content = ElfLibrary(), archive.read(info)
+            if sys.platform.startswith("linux") and content.startswith(ELF_MAGIC):
+                with suppress(struct.error, ValueError, IndexError, OverflowError):
+                    elf = _read(content)
             elfs.append(elf)
-            code.wanted |= unique if is_fmu else names | unique
-            code.offered |= names | unique
+            if name.partition(".")[0] not in own and elf.defined.isdisjoint(versions):  # not the library of the FMU
+                code.named |= {f"library {n}": digest for n in (name, elf.soname) if n}
+            code.named |= {f"C++ symbol {n}": digest for n in elf.unique if not OF_STD.match(n)}
             code.symbols |= elf.defined
             code.needed |= elf.needed
     code.has_variables = not elfs or any(elf.has_variables for elf in elfs)
-    for name, content in _modules([(info.filename, _digest(info)) for info in files]).items():
-        code.wanted[f"Python module {name}"] = code.offered[f"Python module {name}"] = content
-        places = f"resources/{name}.py", f"resources/{name}/__init__.py"
-        code.modules[name] = next((info.CRC for info in files if info.filename.endswith(places)), 0)
+    modules = _modules([(info.filename, _digest(info)) for info in files])
+    code.named |= {f"Python module {name}": digest for name, digest in modules.items()}
     return code
 
 
@@ -249,8 +232,8 @@ def has_loaded_fmus() -> bool:
     return bool(_loaded)
 
 
-def claim(path: Path) -> list[str]:
-    """Record that this process loads an FMU; return warnings on equally named code of the process.
+def claim(path: Path) -> None:
+    """Record that this process loads an FMU.
 
     Raises:
         SharedCode: The process has loaded an FMU with different code of the same name.
@@ -264,38 +247,6 @@ def claim(path: Path) -> list[str]:
             )
     if code not in _loaded.values():
         _loaded[path] = code
-    warnings = []
-    for name, checksum in code.modules.items():
-        file = getattr(sys.modules.get(name), "__file__", None)
-        with suppress(OSError):  # the folder of an earlier FMU with the same code may be removed
-            if file is not None and checksum and crc32(Path(file).read_bytes()) != checksum:
-                warnings.append(
-                    f"{path.name} uses the module {name} of {file}, which its process loaded before, instead of its "
-                    "own; rename the module in the FMU"
-                )
-    brought = code.needed & {name for name, _ in code.libraries}
-    maps = []
-    if brought:
-        with suppress(OSError):  # /proc exists on Linux only
-            maps = [line.split(maxsplit=5) for line in Path("/proc/self/maps").read_text().splitlines()]
-    for file in sorted({parts[5] for parts in maps if len(parts) == 6 and ".so" in parts[5]}):
-        name, digest = _soname_and_digest(file)
-        if name in brought and (name, digest) not in code.libraries:
-            warnings.append(
-                f"{path.name} contains {name}, but uses {file}, which its process loaded before; "
-                "rename the FMU's library, or link it statically"
-            )
-    return [*map(CheckWarning, warnings)]
-
-
-@lru_cache(1024)
-def _soname_and_digest(file: str) -> tuple[str, str]:
-    """Return the name by which the loader knows a library, and the digest of its content; "" if the file is removed."""
-    try:
-        content = Path(file).read_bytes()
-    except OSError:
-        return "", ""
-    return read_elf(content, symbols=False).soname or Path(file).name, f"{crc32(content):08x}-{len(content)}"
 
 
 def separate(fmus: Iterable[tuple[str, Path]], apart: Iterable[str]) -> tuple[set[str], list[str]]:
@@ -345,9 +296,3 @@ def own_symbols_first(path: Path, library: Path) -> Iterator[None]:
             from _ctypes import dlclose
 
             dlclose(handle)
-
-
-@cache
-def _process() -> int:
-    """Return the loader's handle of this process, for its symbols."""
-    return int(ctypes.CDLL(None)._handle)

@@ -27,12 +27,8 @@ Solver = Literal["cvode", "solve_ivp"]
 REFUSALS = 10  # discarded derivatives that explain a stuck solver
 MAX_CVODE_STEPS = 500  # of CVODE between communication points and events, as in FMPy
 NORMAL, TOO_MUCH_WORK, ROOT_RETURN = 1, -1, 2  # task and return values of CVODE
-FAILURES = {  # CVODE's error codes with remedies
-    -2: "the tolerance of CVODE is finer than the resolution of doubles; use a larger tolerance",
-    -3: NO_STEP_WITHIN_TOLERANCE.format(solver="CVODE"),
-    -4: "the iteration of CVODE does not converge even with its shortest step; a derivative jumps, or is unbounded",
-    -27: "the step of CVODE is below the resolution of doubles; use a longer communication step",
-}
+NO_STEP_CODE = -3  # CVODE's code for an error above the tolerance even in the shortest step
+CVODE_STUCK = NO_STEP_WITHIN_TOLERANCE.format(solver="CVODE")
 
 
 def solver(name: Solver | None, fmu: Any, symbol: Callable[[str], str], **settings: Any) -> Any:
@@ -162,7 +158,7 @@ def cvode(
             except FMICallException as error:
                 return self._refuse(error)
             if (derivative := _not_finite(NV_DATA_S(ydot)[: self.nx])) is not None:
-                self.refusals.append(SolverFailed(FAILURES[-3], derivative))
+                self.refusals.append(SolverFailed(CVODE_STUCK, derivative))
                 return 1
             return 0
 
@@ -231,7 +227,7 @@ def cvode(
         def _raise(self) -> None:
             """Raise the error because of which CVODE did not reach the target."""
             if compiled is not None and compiled.refusals:
-                error: Exception = SolverFailed(FAILURES[-3], (compiled.place, compiled.rate))
+                error: Exception = SolverFailed(CVODE_STUCK, (compiled.place, compiled.rate))
                 if compiled.status:
                     error = FMICallException(function=compiled.names[compiled.call], status=compiled.status)
                 if compiled.status not in (0, DISCARD):
@@ -244,7 +240,8 @@ def cvode(
             if self.error_info is None:
                 raise SolverFailed("CVODE failed")
             number, _, _, text = self.error_info
-            reason = FAILURES.get(number) or f"CVODE failed (code {number}): {' '.join(text.split())}"
+            details = f"CVODE failed (code {number}): {' '.join(text.split())}"
+            reason = CVODE_STUCK if number == NO_STEP_CODE else details
             if number == TOO_MUCH_WORK:
                 other = ", or use solver: solve_ivp"
                 reason = TOO_MANY_SOLVER_STEPS.format(solver="CVODE", count=most, other=other)

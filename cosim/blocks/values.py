@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import ctypes
 import math
-from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterable, Mapping
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -211,39 +211,37 @@ class FmuVariables(Component):
             if status := self._function("Set", exchange)():  # FMPy's setters do not return the status
                 self._judge("Set", exchange, status, f" of {name}")
 
-    def show(self, values: Mapping[str, Any], *, readable: bool) -> None:
-        """Store values set for inputs, or else their start values, in the row, because FMUs need not return inputs.
+    def show(
+        self,
+        exchanges: Iterable[Exchange],
+        values: Mapping[str, Any],
+        *,
+        readable: bool = False,
+        completed: bool = False,
+    ) -> None:
+        """Store values, or else start values, in the row, because FMUs need not return inputs.
 
         Args:
-            readable: True if inputs without a start value can be read from the FMU.
+            readable: True if variables without a start value can be read from the FMU.
+            completed: Store zero or empty text for each single variable without a start value.
         """
         values = self._with_aliases(values)
-        for exchange in self.inward:
-            try:
-                self._show(exchange, values)
-                continue
-            except (TypeError, ValueError):  # there is no start value, or it has another type
-                pass
-            if readable:
-                try:
-                    self.get_from(exchange)
-                    continue
-                except SimulationError:
-                    if self.instance.fmu is None:
-                        raise
-            self._target(exchange)[exchange.places] = [exchange.kind.nothing] * exchange.count
-
-    def _show(self, exchange: Exchange, values: Mapping[str, Any], default: Any = None) -> None:
-        """Store the values of variables in the row: from `values`, else the start value, else the default."""
-        pairs = ((v, values.get(v.name, v.start)) for v in exchange.variables)
-        self._target(exchange)[exchange.places] = [
-            x for v, value in pairs for x in elements(exchange.kind, v, default if value is None else value)
-        ]
-
-    def show_outputs(self, exchanges: Sequence[Exchange]) -> None:
-        """Store start values, zero or empty text in the row for variables that have no value before an event."""
         for exchange in exchanges:
-            self._show(exchange, {}, exchange.kind.nothing)
+            kind = exchange.kind
+            default = kind.nothing if completed else None
+            pairs = [(v, values.get(v.name, v.start)) for v in exchange.variables]
+            try:
+                shown = [x for v, value in pairs for x in elements(kind, v, default if value is None else value)]
+            except (TypeError, ValueError):  # there is no start value, or it has another type
+                shown = [kind.nothing] * exchange.count
+                if readable:
+                    try:
+                        self.get_from(exchange)
+                        continue
+                    except SimulationError:
+                        if self.instance.fmu is None:
+                            raise
+            self._target(exchange)[exchange.places] = shown
 
     def show_changes(self, values: Mapping[str, Any]) -> None:
         """Store the values that an event of the scenario has set for unconnected inputs in the row."""

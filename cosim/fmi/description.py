@@ -18,8 +18,11 @@ from cosim.fmi.fmi_types import DOUBLE_TYPES, element_names
 
 # form of pythonfmu's exceptions
 WRAPPED = re.compile(r"Fatal py exception encountered: \[\w+\] \w+ (?P<kind>\w+)\((?P<text>.*?),?\)$")
-NUMBER_SECTIONS = ("UnitDefinitions", "TypeDefinitions", "DefaultExperiment", "ModelVariables")
-NUMBER_ATTRIBUTES = {"startTime", "stopTime", "stepSize", "tolerance", "min", "max", *SI, "factor", "offset"}
+NUMBER_ATTRIBUTES = "|".join(("startTime", "stopTime", "stepSize", "tolerance", "min", "max", *SI, "factor", "offset"))
+# schema violations by text in place of a number: of an item, of a start value of FMI 1.0, or of another attribute
+ITEM_SLIP = r"Element '[^']*Item', attribute 'value': '(?P<text>[^']+)'"
+START_SLIP = r"Element '[^']*(Real|Integer|Enumeration)', attribute 'start': '(?P<text>[^']+)'"
+NUMBER_SLIP = rf"attribute '({NUMBER_ATTRIBUTES})': '(?P<text>[^']+)'"
 _WORD = r"[A-Za-z_][A-Za-z_0-9]*(\[[0-9]+(,[0-9]+)*\])?"
 PLAIN_NAME = re.compile(rf"{_WORD}(\.{_WORD})*")  # characters allowed by every naming convention
 PLAIN_ERRORS = ("RuntimeError", "ValueError", "ArithmeticError", "Exception")
@@ -35,22 +38,6 @@ def reason_of(error: Exception) -> str:
     if isinstance(error, ValueError):
         return "a value in its modelDescription.xml has the wrong type"
     return " ".join(str(error).split())[:2000]
-
-
-def check_numbers(path: Path, version: str) -> None:
-    """Raise FmuError for text in place of a number; needed only for descriptions with schema violations."""
-    root = ElementTree.fromstring(description_of(path))
-    for node in (node for section in NUMBER_SECTIONS for part in root.iterfind(section) for node in part.iter()):
-        is_start = version == "1.0" and node.tag in {"Real", "Integer", "Enumeration"}
-        for name, text in node.attrib.items():
-            kind = int if (node.tag, name) == ("Item", "value") else float
-            try:
-                if text and (kind is int or name in NUMBER_ATTRIBUTES or (is_start and name == "start")):
-                    kind(text)
-            except ValueError:
-                place = f'{name} of {node.tag} {node.get("name", "")} is "{text[:60]}"'
-                reason = f"{place}, not a {'whole number' if kind is int else 'number'}"
-                raise FmuError(f"{path} is not a valid FMU: {reason}") from None
 
 
 def without_wrapping(words: str) -> str:
@@ -124,8 +111,12 @@ def read_description(path: Path) -> Any:
         if part.modelIdentifier is None or not re.fullmatch(r"[^/\\\x00-\x1f:]+", name) or name in {".", ".."}:
             # a library name that may lead outside the FMU
             raise FmuError(f'{invalid} modelIdentifier "{name[:MAX_MEMBER_CHARACTERS]}" is not a file name')
-    if slips:
-        check_numbers(path, description.fmiVersion)
+    patterns = (ITEM_SLIP, NUMBER_SLIP, *([START_SLIP] if description.fmiVersion == "1.0" else []))
+    for slip, match in ((slip, match) for slip in slips for p in patterns if (match := re.search(p, slip))):
+        try:
+            (int if match.re.pattern == ITEM_SLIP else float)(match["text"])
+        except ValueError:
+            raise FmuError(f"{path} is not a valid FMU: {' '.join(slip.split())}") from None
     for variable in description.modelVariables:
         if variable.shape and not 0 <= math.prod(variable.shape) <= MAX_ARRAY_ELEMENTS:
             size = "×".join(map(str, variable.shape))
@@ -203,7 +194,7 @@ def platforms_among(names: Sequence[str]) -> list[str]:
 def no_library(here: str, platforms: Sequence[str]) -> str:
     """Return a message that an FMU has no library for this platform, with the cure."""
     others = ", ".join(p for p in platforms if p != C_CODE)
-    text = f"it has no library for {here}{f', only for {others}' if others else ' or another platform'}"
+    text = f"it has no library named as its modelIdentifier for {here}{f', only for {others}' if others else ''}"
     if C_CODE in platforms:
         text += "; to compile and run its sources, use --compile (in Python compile=True)"
     return text
@@ -217,24 +208,14 @@ def library_file(folder: Path, description: Any, identifier: str) -> Path:
 
 
 def library_of(folder: Path, description: Any, identifier: str) -> tuple[Path, str] | None:
-    """Return the library for this platform, and a warning if its file name is not the prescribed one.
-
-    Raises:
-        FmuError: There are several libraries, none with the prescribed name.
-    """
+    """Return the library for this platform, and a warning if its file name is not the prescribed one."""
     library = library_file(folder, description, identifier)
     if library.is_file():
         return library, ""
     libraries = sorted(library.parent.glob(f"*{library.suffix}"))
-    if len(libraries) == 1:
-        return libraries[0], f"its library is {libraries[0].name}, its modelIdentifier {identifier}"
-    if libraries:
-        names = ", ".join(p.name for p in libraries)
-        raise FmuError(
-            f"its modelIdentifier requires the library {library.name}, but its folder has only {names}; rename the "
-            "right library, or export the FMU again"
-        )
-    return None
+    if len(libraries) != 1:
+        return None
+    return libraries[0], f"its library is {libraries[0].name}, its modelIdentifier {identifier}"
 
 
 def matches(pattern: str, component: str, variable: str) -> bool:

@@ -72,20 +72,14 @@ def model_recipe(model: Model, file: Path, values: Mapping[str, float | bool] | 
         file: Python file of the model class.
         values: Parameter defaults that replace the declared ones.
     """
-    own = (file, type(model).__name__)
-    about = about_model(model.with_values(values or {}), model.title)
+    from cosim.model.symbolic.symbols import output_dependencies
+
+    own, built = (file, type(model).__name__), model.with_values(values or {})
+    signals, traits = (model_ports(built), *output_dependencies(built)), Traits.of(built)
+    about = Description(model.title, *signals, built.rate, 10.0, variable_step=True, traits=traits)
     slave, text = ("cosim.fmi.model_fmu", "ModelSlave"), model_text(model)
     sorted_values = tuple(sorted((values or {}).items()))
     return Recipe(slave, (), about, text, sorted_values, own, (), model.chosen_substep, model.chosen_integrator)
-
-
-def about_model(model: Model, text: str) -> Description:
-    """Return the data for the modelDescription.xml of a model."""
-    from cosim.model.symbolic.symbols import output_dependencies
-
-    dependencies = output_dependencies(model)
-    traits = Traits.of(model)
-    return Description(text, model_ports(model), *dependencies, model.rate, 10.0, variable_step=True, traits=traits)
 
 
 def build(recipe: Recipe, path: Path) -> Path:

@@ -26,13 +26,6 @@ SIGNAL_MEANINGS = {
     "SIGILL": "crashed: illegal instruction",
     "SIGKILL": "was killed, probably by the operating system because memory ran out",
 }
-STATUSES = {  # NTSTATUS codes of Windows
-    0xC0000005: "crashed: access violation",
-    0xC00000FD: "crashed: stack overflow",
-    0xC0000094: "crashed: division by zero",
-    0xC0000374: "crashed: heap corrupted",
-    0xC0000409: "crashed: abort",
-}
 CALL_KEYS = {"set": PUT, "step": ADVANCE, "get": GET, "other": OTHER}  # names in the manifest
 READING_PAUSE = 0.003, 0.007  # [s] limits of the random time between two readings of the current call
 PLAIN_CALLS = ("setting its inputs", "stepping", "reading its outputs")  # for components that are not FMUs
@@ -125,19 +118,18 @@ def fmi_calls(description: Any) -> Sequence[str]:
 
 def _memory(pid: int, limit: float) -> int:
     """Return the memory [bytes] of a process and its children; above `limit`, shared pages count only once."""
-    processes: dict[int, psutil.Process] = {}
+    processes = set[psutil.Process]()
     with suppress(psutil.Error):
         own = psutil.Process(pid)
-        processes = {p.pid: p for p in (own, *own.children(recursive=True))}
-    if sys.platform != "win32":
-        for other in psutil.pids():  # orphans stay in the session of the worker
-            with suppress(OSError, psutil.Error):
-                if os.getsid(other) == pid:
-                    processes[other] = psutil.Process(other)
+        processes = {own, *own.children(recursive=True)}
+    for other in psutil.pids() if sys.platform != "win32" else ():  # orphans stay in the session of the worker
+        with suppress(OSError, psutil.Error):
+            if os.getsid(other) == pid:
+                processes.add(psutil.Process(other))
     size = 0
     for is_exact in (False, True):
         size = 0
-        for process in processes.values():
+        for process in processes:
             with suppress(psutil.Error):  # the process has ended
                 size += process.memory_full_info().pss if is_exact else process.memory_info().rss
         if size <= limit or not sys.platform.startswith("linux"):
@@ -159,8 +151,6 @@ def how_ended(code: int) -> str:
     if code < 0:
         name = signal.Signals(-code).name if -code in set(signal.Signals) else f"signal {-code}"
         return f"{SIGNAL_MEANINGS.get(name, 'was ended')} ({name})"
-    if code & 0xFFFFFFFF in STATUSES:
-        return STATUSES[code & 0xFFFFFFFF]
     return f"ended the process, exit code {code}"
 
 

@@ -9,7 +9,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from cosim.blocks.event_mode import PERIODIC, EventFmu, ScheduledFmu, Timing, read_clocks
+from cosim.blocks.event_mode import PERIODIC, EventFmu, ScheduledFmu, read_clocks
 from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.model_exchange import ModelExchange
 from cosim.blocks.sources import SourceBlock
@@ -67,7 +67,7 @@ def event_block(building: Building, name: str, component: FmuComponent, path: Pa
         elif timing.at != sorted(set(timing.at)) or (timing.at and timing.at[0] < scenario.start_time):
             message = f"the times of {full_name} must increase and not precede the start of the run"
         else:
-            timings[clock_name] = Timing(timing.interval, timing.shift, tuple(timing.at))
+            timings[clock_name] = timing
             continue
         building.note(("components", name, "clocks", clock_name), message)
     jumping = set()  # inputs whose sources change discontinuously

@@ -19,7 +19,7 @@ from cosim.files.files import FilePath, check_folder, named_path
 from cosim.files.yaml_file import YamlFile
 from cosim.fmi.building.declared import ModelText
 from cosim.fmi.building.file import LoadedModel, load_model
-from cosim.fmi.building.refined import NoNearest, refined_file
+from cosim.fmi.building.refined import refined_file
 from cosim.fmi.building.substep import with_substep
 from cosim.fmi.native.compiler import PLATFORMS, CompilerFailed, NoCompiler, commands
 from cosim.fmi.ports import Value
@@ -168,21 +168,16 @@ def _natives(loaded: LoadedModel, starts: Mapping[str, Mapping[str, Value]]) -> 
 
     try:
         yield "plant", native_model(loaded.model, loaded.recipe(), f"{type(loaded.model).__name__}Plant")
-    except (UnprintableModel, TypeError, AttributeError, RecursionError) as raised:
-        error: Exception = raised
-        if isinstance(raised, RecursionError):  # sympy 1.14 raises it for some nested minima and maxima
-            error = UnprintableModel("the symbolic derivatives of its equations are too large")
+    except (UnprintableModel, TypeError, AttributeError, RecursionError) as error:
         doing, cure = "cannot be printed as C", "use functions and branches of m in its equations, or omit --native"
         file = loaded.source.rpartition(":")[0]
-        text = ModelText(Path(file))
-        if not file:
-            fault = Fault(Path(loaded.source), 0, 0, f"{doing}: {error}; {cure}")
-        elif isinstance(error, UnprintableModel):
+        text = ModelText(Path(file or loaded.source))
+        if isinstance(error, UnprintableModel):
             owner, hook = error.owner or type(loaded.model), error.hook if error.owner else "equations"
             fault = text.fault(owner, hook, f"{doing}: {error}; {error.cure or cure}")
-        else:
+        else:  # RecursionError: of sympy 1.14 for some nested minima and maxima
             fault = text.convert_error(error, doing)
-        raise InputError([fault]) from raised
+        raise InputError([fault]) from error
     for name, recipe in model_entry(loaded.source).native.items() if is_model(loaded.source) else ():
         yield name, resolve(recipe)(starts.get(f"{name}.fmu"))
 
@@ -219,11 +214,7 @@ def designed_model(
     if text is None:
         registered = "".join(f"{name}, " for name in sorted(models()) if name != BASE)
         raise InputError.at(Path("--model"), f"is missing; give {registered}a model.yaml, or FILE.py:CLASS")
-    try:
-        file = refined_file(Path(text), nearest=nearest)
-    except NoNearest as error:
-        raise InputError.at(Path(text), str(error)) from None
-    loaded, _ = with_substep(load_model(str(file), Path()))
+    loaded, _ = with_substep(load_model(str(refined_file(Path(text), nearest=nearest)), Path()))
     if design is None:
         return loaded, {}
     entry = entry_of(type(loaded.model))

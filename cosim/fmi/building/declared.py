@@ -7,12 +7,11 @@ from __future__ import annotations
 
 import ast
 import dataclasses
-import inspect
 import math
 import sys
 import traceback
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from itertools import chain
 from pathlib import Path
@@ -33,8 +32,19 @@ from cosim.model.sensors import LeverArm, SensorError
 from cosim.model.symbolic.symbols import symbolic
 
 NAMESPACE_FUNCTIONS = ", ".join(f"m.{name}" for name in vars(Namespace) if not name.startswith("_"))
-TRUTH_TEST = "truth value of"  # sympy's words for the truth test of a symbol
-FOREIGN = ("Cannot convert expression to float", "must be real number", "ufunc", "Namespace' object has no attribute")
+OF_NUMBERS = (
+    "Cannot convert expression to float",
+    "must be real number",
+    "ufunc",
+    "Namespace' object has no attribute",
+)
+CURES = {  # words of an exception → cure
+    "truth value of": (
+        "do not use `if`, `max`, `min` or `and` on a number: m.where(condition, then, otherwise) works on symbols too"
+    ),
+    "maximum recursion depth": "use fewer minima and maxima within each other",  # sympy 1.14
+    **dict.fromkeys(OF_NUMBERS, f"use functions of m: {NAMESPACE_FUNCTIONS}"),
+}
 
 
 class ModelText:
@@ -68,22 +78,12 @@ class ModelText:
     def convert_error(self, error: BaseException, doing: str) -> Fault:
         """Return the fault for an exception that occurred while `doing`: line, message and, if known, the cure."""
         text = " ".join((error.msg if isinstance(error, SyntaxError) else str(error)).split())
-        cure = ""
-        if isinstance(error, TypeError) and TRUTH_TEST in text:
-            where = "m.where(condition, then, otherwise) works on symbols too"
-            cure = f"; do not use `if`, `max`, `min` or `and` on a number: {where}"
-        elif isinstance(error, (TypeError, AttributeError)) and any(words in text for words in FOREIGN):
-            cure = f"; use functions of m: {NAMESPACE_FUNCTIONS}"
-        name = f"{doing}: {type(error).__name__}: {text}".removesuffix(": ")
-        return Fault(self.path, *self._raised_at(error), f"{name}{cure}")
-
-    def _raised_at(self, error: BaseException) -> tuple[int, int]:
+        cure = next((f"; {cure}" for words, cure in CURES.items() if words in text), "")
+        frames = [f for f in traceback.extract_tb(error.__traceback__) if f.filename == str(self.path)]
+        place = (frames[-1].lineno or 0, (frames[-1].colno or 0) + 1) if frames else (0, 0)
         if isinstance(error, SyntaxError) and error.filename == str(self.path):
-            return error.lineno or 0, max(1, error.offset or 1)
-        for frame in reversed(traceback.extract_tb(error.__traceback__)):
-            if frame.filename == str(self.path):
-                return frame.lineno or 0, (frame.colno or 0) + 1
-        return 0, 0
+            place = error.lineno or 0, max(1, error.offset or 1)
+        return Fault(self.path, *place, f"{doing}: {type(error).__name__}: {text}".removesuffix(": ") + cure)
 
 
 Faults = Iterator[tuple[type, str, str]]  # class, declaration, message
@@ -94,13 +94,9 @@ SIGNAL_ATTRIBUTES = ("base_states", "inputs", "outputs")
 def make_model(kind: type[Model], source: ModelText) -> Model:
     """Return a model of a class with default parameters; raise InputError with all faults of the class."""
     refuse(source.fault(*fault) for fault in _form_faults(kind))
-    trial, values = _Trial(source, kind), [*_value_faults(kind)]
-    trial.faults += [source.fault(*fault) for fault in (*_effect_faults(kind), *_name_faults(kind), *values)]
-    if not values:
-        _try_model(trial)
-    if not trial.faults:
-        _try_effects(trial)
-    refuse(trial.faults)
+    declared = chain(_effect_faults(kind), _name_faults(kind), _value_faults(kind))
+    refuse(source.fault(*fault) for fault in declared)
+    refuse(_trial_faults(kind, source))
     model = kind()
     counts = Counter(port.name for port in model_ports(model))
     cure = "inputs, outputs, parameters and start values need different names; the start value of s is named s_start"
@@ -117,30 +113,22 @@ def _form_faults(kind: type[Model]) -> Faults:
     for owner in (kind, *owners):
         base = next(c for c in owner.__mro__ if c.__module__.startswith("cosim.model."))
         hints = get_type_hints(base) | ({"sensors": ClassVar[tuple[type[SensorError], ...]]} if owner is kind else {})
-        texts: dict[str, str] = {
-            n: text for c in reversed(base.__mro__) for n, text in inspect.get_annotations(c).items()
-        }
-        for name in (n for n, hint in hints.items() if get_origin(hint) is ClassVar):
-            form = f"{texts[name].removeprefix('ClassVar[')[:-1]}; a tuple of one element has a comma too"
-            if not hasattr(owner, name):
-                if owner is kind or name in ("name", "equation"):
-                    yield owner, "", f"{owner.__name__} has no {name}; add {name}, of type {form}"
-            elif not _is_of(value := getattr(owner, name), *get_args(hints[name])):
-                yield owner, name, f"{name} is {value!r}; give a value of type {form}"
-        if owner is not kind and "." in (label := str(getattr(owner, "name", ""))):
-            yield owner, "name", f'the name "{label}" has a dot, the separator of effect and parameter; remove it'
+        for name, hint in hints.items():
+            if get_origin(hint) is not ClassVar:
+                continue
+            (form,) = get_args(hint)
+            cure = f"of type {form}; a tuple of one element has a comma too"
+            if hasattr(owner, name):
+                value, strict = getattr(owner, name), ConfigDict(strict=True, arbitrary_types_allowed=True)
+                try:
+                    TypeAdapter(form, config=strict).validate_python(value)
+                except ValidationError:
+                    yield owner, name, f"{name} is {value!r}; give a value {cure}"
+            elif owner is kind or name in ("name", "equation"):
+                yield owner, "", f"{owner.__name__} has no {name}; add {name}, {cure}"
         if name := next((n for n, v in vars(owner).items() if isinstance(v, dataclasses.Field)), ""):
             reason = "is not a field: put @dataclass(frozen=True, kw_only=True) above the class"
             yield owner, name, f"{owner.__name__}.{name} {reason}"
-
-
-def _is_of(value: Any, annotation: Any) -> bool:
-    """Return True if a value has the type of an annotation without conversion."""
-    try:
-        TypeAdapter(annotation, config=ConfigDict(strict=True, arbitrary_types_allowed=True)).validate_python(value)
-    except ValidationError:
-        return False
-    return True
 
 
 def _value_faults(kind: type[Model]) -> Faults:
@@ -189,12 +177,6 @@ def _value_faults(kind: type[Model]) -> Faults:
 def _name_faults(kind: type[Model]) -> Faults:
     """Yield faults of names used twice, and of references to undefined names."""
     states, inputs, outputs = ([q.name for q in getattr(kind, name)] for name in SIGNAL_ATTRIBUTES)
-    lists = {"base_states": states, "inputs": inputs, "outputs": outputs}
-    lists |= {name: list(getattr(kind, name)) for name in ("forced", "calibrated", "measured")}
-    for attribute, names in lists.items():
-        for name, count in Counter(names).items():
-            if count > 1:
-                yield kind, attribute, f'{attribute} has {count} called "{name}"; give each its own name'
     if "time" in (*inputs, *outputs):
         yield kind, "", 'an input or output is called "time", the name of the time column of logs; give it another name'
     parameters = {p.name: not isinstance(p.default, bool) for p in parameters_of(kind)}
@@ -222,6 +204,8 @@ def _name_faults(kind: type[Model]) -> Faults:
         own: Any = owner
         if own.name in taken:
             yield own, "name", f'"{own.name}" is the name of another effect or a parameter; give each its own name'
+        if "." in own.name:
+            yield own, "name", f'the name "{own.name}" has a dot, the separator of effect and parameter; remove it'
         taken.append(own.name)
         names = [p.name for p in parameters_of(own)]
         references.append((own, "starts", "parameter", chain(*own.starts), names))
@@ -241,9 +225,6 @@ def _name_faults(kind: type[Model]) -> Faults:
             if name not in allowed:
                 hint = f"{did_you_mean(str(name), allowed)} (allowed: {', '.join(allowed) or 'none'})"
                 yield where, attribute, f'{getattr(where, "name", attribute)}: no {sort} "{name}"{hint}'
-    for name in kind.suspect:
-        if name in kind.calibrated:
-            yield kind, "suspect", f'"{name}" is also in calibrated; remove it from suspect'
 
 
 def _effect_faults(kind: type[Model]) -> Faults:
@@ -257,10 +238,8 @@ def _effect_faults(kind: type[Model]) -> Faults:
                 values = f"{p.default!r}, its neutral value {p.neutral!r}"
                 yield owner, p.name, f"the default of {owner.name}.{p.name} is {values}; they must be equal"
     for owner in kind.sensors:
-        names = [p.name for p in parameters_of(owner)]
-        if names != ["value"]:
-            has = f"{owner.name} has {' and '.join(names) or 'none'}"
-            yield owner, (names or [""])[0], f'a sensor error has one parameter, called "value"; {has}'
+        if [p.name for p in parameters_of(owner)] != ["value"]:
+            yield owner, "", f'a sensor error has one parameter, called "value"; change those of {owner.name}'
         if owner.outputs and owner.read is not SensorError.read and owner.readings is SensorError.readings:
             reason = "`read` returns one output, but the class declares several `outputs`"
             yield owner, "outputs", f"{owner.name}: {reason}; declare one `output` instead, or define `readings`"
@@ -273,9 +252,7 @@ def _effect_faults(kind: type[Model]) -> Faults:
         if issubclass(owner, Delay) and longest > owner.longest:
             late = f"allows a delay up to {longest:g} s but stores {owner.longest:g} s of history"
             yield owner, owner.delay, f"{owner.name} {late}; set longest = {longest:g}"
-        if owner not in order:
-            yield owner, "delay", f"{owner.name} delays the command but has no method `shape`; add it"
-        elif owner is not delays[0]:
+        if owner is not delays[0]:
             yield owner, "delay", f"{owner.name} and {delays[0].name} both delay the command; only one effect may"
         elif owner is not order[0]:
             yield kind, "catalogue", f"{owner.name} delays the command: put it before {order[0].name} in the catalogue"
@@ -286,75 +263,84 @@ def _effect_faults(kind: type[Model]) -> Faults:
 
 # -- trial of equations, on floats as in the FMU and on symbols ------------------------------------------
 
-FAILED = object()  # in place of the result of a call that raised an exception
 
+def _trial_faults(kind: type[Model], source: ModelText) -> list[Fault]:
+    """Return the faults of start values, equations, effects and sensors in trial calls; an exception ends the trial.
 
-class _Trial:
-    """Trial calls of a model's functions, and the faults that they reveal."""
-
-    def __init__(self, source: ModelText, kind: type[Model]) -> None:
-        self.source, self.kind = source, kind
-        self.faults: list[Fault] = []
-
-    def note(self, owner: type, attribute: str, message: str) -> None:
-        self.faults.append(self.source.fault(owner, attribute, message))
-
-    def attempt(self, doing: str, call: Callable[..., Any], *arguments: Any) -> Any:
-        """Return the result of a call; after an exception, record a fault and return FAILED."""
-        try:
-            return call(*arguments)
-        except Exception as error:  # A user's file may raise any error.
-            self.faults.append(self.source.convert_error(error, doing))
-            return FAILED
-
-
-def _try_model(trial: _Trial) -> None:
-    """Record the faults of `equations` and of start values, evaluated on floats and on symbols.
-
-    On floats all effects are dormant. On symbols all are active, for both values of Boolean parameters.
+    On floats all effects are dormant, and each is then active alone for a substep. On symbols all are active, for both
+    values of Boolean parameters.
     """
-    before, kind = len(trial.faults), trial.kind
-    model = trial.attempt("cannot be created with its defaults", kind)
-    if model is FAILED:
-        return
-    for hook, quantities in (("start_state", model.base_states), ("start_input", model.inputs)):
-        values = trial.attempt(f"`{hook}` raises", getattr(model, hook))
-        names = [q.name for q in quantities]
-        if values is not FAILED and not (isinstance(values, dict) and values.keys() <= set(names)):
-            trial.note(kind, hook, f"`{hook}` returns {values!r}; allowed: values of {', '.join(names)} by name")
-    if len(trial.faults) == before:
-        _try_equations(trial, model, SCALAR, (0.0, model.start(), model.start_command()))
-    flags = any(isinstance(p.default, bool) for p in model.parameters)
-    for flag in (True, False) if flags else (None,):
-        s = trial.attempt("cannot be evaluated with symbols as parameters", symbolic, model, flag)
-        if s is FAILED:
-            break
-        m = SymbolNamespace()
-        trial.attempt("`start_state` raises", s.model.start_state, m)
-        _try_equations(trial, s.model, m, (s.time, s.state, s.command))
+    import sympy
+
+    faults: list[Fault] = []
+    m, doing = SymbolNamespace(), "cannot be created with its defaults"
+    try:
+        model = kind()
+        for hook, quantities in (("start_state", model.base_states), ("start_input", model.inputs)):
+            doing = f"`{hook}` raises"
+            values, names = getattr(model, hook)(), [q.name for q in quantities]
+            if not (isinstance(values, dict) and values.keys() <= set(names)):
+                reason = f"`{hook}` returns {values!r}; allowed: values of {', '.join(names)} by name"
+                return [source.fault(kind, hook, reason)]
+        doing = "`equations` raises"
+        faults += _equation_faults(source, model, SCALAR, (0.0, model.start(), model.start_command()))
+        for flag in (True, False) if any(isinstance(p.default, bool) for p in model.parameters) else (None,):
+            s = symbolic(model, flag)
+            s.model.start_state(m)
+            faults += _equation_faults(source, s.model, m, (s.time, s.state, s.command))
+        if faults:
+            return faults
+        for owner in model.catalogue:
+            typical = {
+                p.name: min(max(p.neutral + p.typical, p.bounds[0]), p.bounds[1])
+                for p in parameters_of(owner)
+                if p.neutral is not None and p.typical is not None
+            }
+            doing = f"a step with {owner.name} raises"
+            stepper = Stepper(model.with_effect(replace(owner(), **typical)))
+            stepper.step(stepper.start(), model.start_command(), model.substep)
+        s, h = symbolic(model), sympy.Symbol("h", positive=True)
+        for effect in overrides(s.model.awake, "shape", Effect):
+            if effect.delay:  # The delay needs no trial on symbols, since the log supplies delayed commands.
+                continue
+            doing = f"`shape` of {effect.name} raises"
+            memory = tuple(sympy.Symbol(f"memory:{q.name}", real=True) for q in effect.memory)
+            command, after = effect.shape(m, s.time, h, s.command, memory)
+            if (len(command), len(after)) != (counts := (len(s.command), len(memory))):
+                reason = f"`shape` of {effect.name} must return {counts[0]} commands, {counts[1]} of memory"
+                faults.append(source.fault(type(effect), "shape", reason))
+        value, t = (sympy.Symbol(name, real=True) for name in ("value", "time"))
+        outputs = {q.name: sympy.Symbol(f"output:{q.name}", real=True) for q in model.outputs}
+        for sensor in model.sensors:
+            doing = f"reading {sensor.name} raises"
+            readings = sensor(value=value).readings(m, t, outputs)
+            if list(readings) != list(sensor.affected()) or not all(_is_number(r, m) for r in readings.values()):
+                reason = f"{sensor.name} returns {readings}; it must return numbers for {', '.join(sensor.affected())}"
+                faults.append(source.fault(sensor, "", reason))
+    except Exception as error:  # A user's file may raise any error.
+        faults.append(source.convert_error(error, doing))
+    return faults
 
 
-def _try_equations(trial: _Trial, model: Model, m: Namespace, arguments: tuple[Any, ...]) -> None:
-    """Record faults of derivative and output: exceptions, a wrong number of values, or values of a wrong type."""
-    body = trial.attempt("`equations` raises", model.equations, m)
+def _equation_faults(source: ModelText, model: Model, m: Namespace, arguments: tuple[Any, ...]) -> Iterator[Fault]:
+    """Yield faults of derivative and output: a wrong number of values, or values of a wrong type."""
+    body = model.equations(m)
     if not isinstance(body, Equations):
-        if body is not FAILED:
-            reason = f"`equations` returns {type(body).__name__}; return Equations(derivative, output)"
-            trial.note(trial.kind, "equations", reason)
+        reason = f"`equations` returns {type(body).__name__}; return Equations(derivative, output)"
+        yield source.fault(type(model), "equations", reason)
         return
     for function, quantities in (("derivative", model.states), ("output", model.outputs)):
-        values = trial.attempt(f"`{function}` raises", getattr(body, function), *arguments)
-        names = [q.name for q in quantities]
-        if values is FAILED:
-            continue
-        if isinstance(values, (tuple, list)) and len(values) == len(names):
-            unsuitable = [(name, v) for name, v in zip(names, values, strict=True) if not _is_number(v, m)]
-            texts = [f"`{function}` returns {value!r}, not a finite number, for {name}" for name, value in unsuitable]
-        else:
-            count = len(values) if isinstance(values, (tuple, list)) else f"one {type(values).__name__}"
-            texts = [f"`{function}` returns {count}; return a tuple of {len(names)} values: {', '.join(names)}"]
-        for text in texts:
-            trial.note(trial.kind, "equations", text)
+        values, names = getattr(body, function)(*arguments), [q.name for q in quantities]
+        is_list = isinstance(values, (tuple, list))
+        if not is_list or len(values) != len(names):
+            count = len(values) if is_list else f"one {type(values).__name__}"
+            reason = f"`{function}` returns {count}; return a tuple of {len(names)} values: {', '.join(names)}"
+            yield source.fault(type(model), "equations", reason)
+            return
+        for name, value in zip(names, values, strict=True):
+            if not _is_number(value, m):
+                reason = f"`{function}` returns {value!r}, not a finite number, for {name}"
+                yield source.fault(type(model), "equations", reason)
 
 
 def _is_number(value: Any, m: Namespace) -> bool:
@@ -367,50 +353,3 @@ def _is_number(value: Any, m: Namespace) -> bool:
         return isinstance(sympy.sympify(value, strict=True), sympy.Expr)
     except sympy.SympifyError:
         return False
-
-
-def _try_effects(trial: _Trial) -> None:
-    """Record the faults of effects and sensor errors.
-
-    The model with each single effect at its typical size is integrated over a substep. Shaping of commands and readings
-    are also evaluated on symbols.
-    """
-    import sympy
-
-    model, m = trial.kind(), SymbolNamespace()
-    for owner in model.catalogue:
-        typical = {
-            p.name: min(max(p.neutral + p.typical, p.bounds[0]), p.bounds[1])
-            for p in parameters_of(owner)
-            if p.neutral is not None and p.typical is not None
-        }
-
-        def step(owner: type[Effect] = owner, typical: dict[str, float] = typical) -> None:
-            stepper = Stepper(model.with_effect(replace(owner(), **typical)))
-            stepper.step(stepper.start(), model.start_command(), model.substep)
-
-        if typical:
-            trial.attempt(f"a step with {owner.name} raises", step)
-    s, h = symbolic(model), sympy.Symbol("h", positive=True)
-    for effect in overrides(s.model.awake, "shape", Effect):
-        if effect.delay:  # The delay needs no trial on symbols, since the log supplies delayed commands.
-            continue
-        memory = tuple(sympy.Symbol(f"memory:{q.name}", real=True) for q in effect.memory)
-        shaped = trial.attempt(f"`shape` of {effect.name} raises", effect.shape, m, s.time, h, s.command, memory)
-        counts = (len(s.command), len(memory))
-        is_pair = isinstance(shaped, tuple) and all(isinstance(part, (tuple, list)) for part in shaped)
-        if shaped is not FAILED and not (is_pair and tuple(map(len, shaped)) == counts):
-            message = f"`shape` of {effect.name} must return two tuples: {counts[0]} commands, {counts[1]} of memory"
-            trial.note(type(effect), "shape", message)
-    value, t = (sympy.Symbol(name, real=True) for name in ("value", "time"))
-    outputs = {q.name: sympy.Symbol(f"output:{q.name}", real=True) for q in model.outputs}
-    for sensor in model.sensors:
-        hook = next((h for h in ("readings", "read") if getattr(sensor, h) is not getattr(SensorError, h)), "measure")
-        hook = "carried" if issubclass(sensor, LeverArm) and sensor.readings is LeverArm.readings else hook
-        doing = f"`{hook}` of {sensor.name}"
-        readings = trial.attempt(f"{doing} raises", sensor(value=value).readings, m, t, outputs)
-        if readings is FAILED:
-            continue
-        if list(readings) != list(sensor.affected()) or not all(_is_number(r, m) for r in readings.values()):
-            message = f"{doing} returns {readings}; it must return numbers for {', '.join(sensor.affected())}"
-            trial.note(sensor, hook, message)

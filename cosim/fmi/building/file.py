@@ -183,23 +183,19 @@ def read_model(path: Path, readers: tuple[Path, ...] = ()) -> LoadedModel:
     values: dict[str, float | bool] = {}
     # A parameter file of a smaller model, e.g. of a part refined on a test rig, may serve a larger model.
     if name := content.parameters_from:
-        other = path.parent / name
-        at = ("parameters_from",)
-        try:
-            other = refined_file(other)
-            if not other.is_file():
-                reason = f"no such model file: {name}; give a model.yaml or the folder of a refine"
-                raise InputError([yaml.fault(at, reason)])
-            if other.resolve() in (here := (*readers, path.resolve())):
-                reason = f"{name} takes its parameters from this file, a cycle; remove one parameters_from"
-                raise InputError([yaml.fault(at, reason)])
-            values = {n: v for n, v in read_model(other, here).parameters.items() if n in model.declared}
-            if not values:
-                raise InputError([yaml.fault(at, f"{name} has no parameter in common with {model.title}; remove it")])
-            texts = [fault for n, v in values.items() if (fault := model.declared[n].fault(v))]
-            refuse(yaml.fault(at, f"{name}: {text}; correct it there, or write it under parameters") for text in texts)
-        except InputError as error:
-            faults += error.faults
+        other, here, reasons = refined_file(path.parent / name), (*readers, path.resolve()), []
+        if not other.is_file() or other.resolve() in here:
+            reasons = [f"{name} is no other model file; give a model.yaml or the folder of a refine"]
+        else:
+            try:
+                values = {n: v for n, v in read_model(other, here).parameters.items() if n in model.declared}
+                texts = (fault for n, v in values.items() if (fault := model.declared[n].fault(v)))
+                reasons = [f"{name}: {text}; correct it there, or write it under parameters" for text in texts]
+                if not values:
+                    reasons = [f"{name} has no parameter in common with {model.title}; remove it"]
+            except InputError as error:
+                faults += error.faults
+        faults += [yaml.fault(("parameters_from",), reason) for reason in reasons]
     refuse(faults)
     values |= content.parameters
     model = model.with_values(values).with_substep(content.substep, content.integrator)
@@ -221,16 +217,13 @@ def own_model(text: str, folder: Path) -> Model:
 def only_model(path: Path) -> Model:
     """Return the only model of `file.py`. Raise InputError for faults, and unless the file has exactly one model."""
     source, module = _execute(path.resolve())
-    kinds: dict[Any, str] = {}  # class → name; a class with two names counts once
-    for name, kind in _classes(module, Model).items():
-        if kind.__module__ == module.__name__:  # classes defined in the file, not imported ones
-            kinds.setdefault(kind, name)
-    if not kinds:
-        raise InputError.at(path, f"has no model class; {SUBCLASS}")
-    if len(kinds) > 1:
-        choice = " or ".join(f"{path}:{name}" for name in kinds.values())
-        raise InputError.at(path, f"has {len(kinds)} models; write {choice}")
-    return make_model(next(iter(kinds)), source)
+    own = {kind: name for name, kind in reversed(_classes(module, Model).items()) if kind.__module__ == module.__name__}
+    if len(own) != 1:  # of the classes defined in the file, not imported ones; a class with two names counts once
+        choice = " or ".join(f"{path}:{name}" for name in reversed(own.values()))
+        raise InputError.at(
+            path, f"has {len(own)} models; write {choice}" if own else f"has no model class; {SUBCLASS}"
+        )
+    return make_model(next(iter(own)), source)
 
 
 def own_terms(path: Path) -> list[type[Term]]:

@@ -4,15 +4,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from cosim.core.errors import InputError
 from cosim.files.folders import content_of, newest_run
 
 REFINE_RECORD = "refine.json"
 REFINED = ("model.yaml", "plant.fmu")
 NEAREST = ("nearest.yaml", "nearest.fmu")
-
-
-class NoNearest(ValueError):
-    """The nearest model does not exist; the message says why, and what to do."""
 
 
 def folder_of(path: Path) -> Path | None:
@@ -29,24 +26,22 @@ def refined_file(path: Path, *, nearest: bool = False) -> Path:
         nearest: Return the nearest model, which equals the refined model if the claim is complete.
 
     Raises:
-        NoNearest: No nearest model exists.
+        InputError: No nearest model exists.
     """
-    if not nearest:
-        return (newest_run(path) if path.is_dir() else path.parent) / REFINED[0] if names_refine(path) else path
     folder = folder_of(path)
+    if not nearest:
+        return folder / REFINED[0] if folder is not None and names_refine(path) else path
     if folder is None:
-        raise NoNearest(
-            f"{path} is not a result of `cosim refine`, so it has no nearest model; give the folder of a refine, or "
-            "omit nearest"
-        )
+        reason = "is not a result of `cosim refine`, so it has no nearest model; give the folder of a refine, or omit"
+        raise InputError.at(path, f"{reason} nearest")
     kind = 1 if path.suffix == ".fmu" else 0
     if (folder / NEAREST[kind]).is_file():
         return folder / NEAREST[kind]
     if content_of(folder / REFINE_RECORD).get("grade") == "claimed":
         return folder / REFINED[kind]
-    raise NoNearest(f"{folder} has no {NEAREST[kind]}; refine its study again, or omit nearest")
+    raise InputError.at(path, f"has no {NEAREST[kind]}; refine its study again, or omit nearest")
 
 
 def names_refine(path: Path) -> bool:
     """Return True if a path is the result folder of `cosim refine` or its refine.json, but no other file in it."""
-    return path.name == REFINE_RECORD if path.is_file() else (newest_run(path) / REFINE_RECORD).is_file()
+    return (path.is_dir() or path.name == REFINE_RECORD) and folder_of(path) is not None

@@ -97,15 +97,12 @@ def with_substep(loaded: LoadedModel, logs: Sequence[RunLog] = ()) -> tuple[Load
         substep, integrator = fastest.stiff_substep(), STIFF
         note = Note(f"integrated by the implicit method instead of RK4, in substeps of {_ms(substep)}: {mode}")
     elif count > MOST_SUBSTEPS:
-        name, longest = type(model).__name__, _ms(MAX_DEFAULT / mode.speed)
-        reason = f"{name} is stiff: {mode}, for which RK4 needs more than {MOST_SUBSTEPS} substeps per step of the rate"
-        cure = f"replace the equation of {mode.state} by an algebraic one, or set a substep of at most {longest}"
-        if mode.eigenvalue.real > 0.0:
-            reason = f"{name} is unstable: {mode}, which grows"
-            cure = "check its parameters, start values and the units of the log"
-        elif model.integrator == RK4 and mode.eigenvalue.real * model.rate <= -DECAYED_EIGENVALUE:
-            cure = "set integrator = 'stiff', or omit it"
-        raise InputError([text.fault(type(model), "", f"{reason}; {cure}")])
+        reason = f"{type(model).__name__} is stiff or unstable: {mode}, for which RK4 needs more than {MOST_SUBSTEPS}"
+        cure = (
+            f"check its parameters, start values and the units of the log; or set integrator = 'stiff', replace the "
+            f"equation of {mode.state} by an algebraic one, or set a substep of at most {_ms(MAX_DEFAULT / mode.speed)}"
+        )
+        raise InputError([text.fault(type(model), "", f"{reason} substeps per step of the rate; {cure}")])
     else:
         substep = model.rate / count
         note = Note(f"integrated in substeps of {_ms(substep)} instead of the default {_ms(Model.substep)}: {mode}")

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import random
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 from types import SimpleNamespace
@@ -27,16 +27,11 @@ from cosim.model.symbolic.trace import Trace, UnprintableModel
 
 PEER_TOLERANCE = 1e-9  # of max(1, |value|)
 POINTS, TRIES = 6, 18  # points per case, and draws if Python gives no number
-DECIDED = (
+CURE = (
     "the equations contain a decision that symbols cannot express (a look-up in a dictionary, int() or a branch on a "
-    "number): use m.where"
+    "number): use m.where; or they test for effects: C code evaluates every effect, so an effect at its neutral value "
+    "must not change them"
 )
-NOT_NEUTRAL = (
-    "the effect changes the equations even at its neutral value, or the equations test for effects: C code "
-    "evaluates every effect, so an absent effect must be neutral"
-)
-Values = list[tuple[str, str, float]]  # quantity, method of the model, value
-Difference = tuple[str, str, float, float]  # quantity, method of the model, value by Python, value by generated code
 
 
 @dataclass(frozen=True)
@@ -51,154 +46,136 @@ class EvaluationPoint:
     values: Mapping[str, float | bool]
 
 
-class GeneratedCode:
-    """Generated equations for certain values of the Boolean parameters, printed as Python functions instead of C."""
+def check(model: Model, printer: ModelPrinter) -> None:
+    """Compare Python and generated code, without effects, with each effect and with all.
 
-    def __init__(self, trace: Trace, switches: Mapping[str, bool]) -> None:
-        self.switches = switches
-        self._parameters = list(trace.s.parameters)
-        self._effects = [e.name for e in trace.effects]
-        places = trace.places({name: k for k, name in enumerate(self._parameters)})
-        functions = (
-            ("derivatives", "t x u p", trace.blocks, trace.derivative),
-            ("outputs", "t x u p", trace.blocks, trace.outputs),
-            ("shape", "t h u memory p", trace.shaping, [*trace.shaped, *trace.remembered]),
-            ("remember", "t memory p", (), trace.started),
-        )
-        # functions of numpy, because they give NaN or infinity like C, where those of `math` raise exceptions
-        names: dict[str, Any] = {"math": SimpleNamespace(**{**vars(math), **vars(np)})}
-        self._functions: list[tuple[Any, list[str], int]] = []
-        for name, arguments, blocks, results in functions:
-            exec(function(Python(), name, arguments, blocks, results, places), names)
-            self._functions.append((names[name], arguments.split(), len(results)))
-
-    def values(self, at: EvaluationPoint, awake: set[str]) -> list[float]:
-        """Return the values of all functions at a point, where the effects in `awake` are active."""
-        numbers = {**vars(at), "p": [at.values[n] for n in self._parameters]}
-        values: list[float] = []
-        for call, arguments, size in self._functions:
-            out, ordered = [math.nan] * size, (numbers[argument] for argument in arguments)
-            cells = [np.float64(v) if isinstance(v, float) else [*map(np.float64, v)] for v in ordered]
-            with np.errstate(all="ignore"):
-                call(*cells, [n in awake for n in self._effects], out)
-            values += map(float, out)
-        return values
-
-
-class Check:
-    """Comparison of a model's Python equations with the code generated from them."""
-
-    def __init__(self, model: Model, printer: ModelPrinter) -> None:
-        self.model, self.printer = model, printer
-        self.random = random.Random(0)
-
-    def run(self) -> None:
-        """Compare in every case; raise UnprintableModel with the first difference and the cure."""
-        kinds, switches = self.model.catalogue, self.printer.switches
-        flags = (dict(zip(switches, f, strict=True)) for f in product((False, True), repeat=len(switches)))
-        variants = [GeneratedCode(*of) for of in zip(self.printer.variants, flags, strict=True)]
-        for awake in dict.fromkeys([(), *((kind,) for kind in kinds), kinds]):
-            for code in variants:
-                if difference := self.first_difference(awake, code):
-                    raise self.refusal(difference, awake, code)
-
-    def first_difference(self, awake: tuple[Any, ...], code: GeneratedCode) -> Difference | None:
-        """Return the first difference between Python and generated code with `awake` effects active, or None."""
-        count, names = 0, {e.name for e in awake}
+    Raises:
+        UnprintableModel: They differ; the error has the first difference and the cure.
+    """
+    uniform, kinds = random.Random(0).uniform, model.catalogue
+    flags = product((False, True), repeat=len(printer.switches))
+    variants = [(dict(zip(printer.switches, f, strict=True)), t) for f, t in zip(flags, printer.variants, strict=True)]
+    codes = [(switches, generated_code(trace)) for switches, trace in variants]
+    for awake, (switches, code) in product(dict.fromkeys([(), *((kind,) for kind in kinds), kinds]), codes):
+        names, count = {e.name for e in awake}, 0
         for k in range(TRIES):
-            at = self.draw_point(awake, code, k)
+            at = draw_point(model, printer, awake, switches, k, uniform)
             try:
-                python = [(quantity, hook, float(value)) for quantity, hook, value in self.evaluate(names, at)]
-                generated = code.values(at, names)
+                python = [(name, hook, float(value)) for name, hook, value in evaluate(model, printer, names, at)]
+                generated = code(at, names)
             except (ArithmeticError, ValueError, TypeError):  # The model has no real value at this point.
                 continue
             for (quantity, hook, value), other in zip(python, generated, strict=True):
                 if math.isfinite(value) and not abs(value - other) <= PEER_TOLERANCE * max(1.0, abs(value)):
-                    return quantity, hook, value, other
+                    case = [", ".join(sorted(names)) or "no effect", *(n for n, on in switches.items() if on)]
+                    text = f"{quantity} is {value:.9g} in Python and {other:.9g} in C, active: {', '.join(case)}"
+                    if len(awake) == 1:
+                        raise UnprintableModel(text, awake[0], "" if hook == "equations" else hook, CURE)
+                    raise UnprintableModel(text, type(model), "equations", CURE)
             count += 1
             if count == POINTS:
                 break
-        return None
 
-    def evaluate(self, names: set[str], at: EvaluationPoint) -> Values:
-        """Return derivatives, outputs, shaped commands, and memory of effects after a substep and at the start.
 
-        The memory of a dormant effect is NaN. Delays are skipped, because their C code is not generated.
-        """
-        base = {n: v for n, v in at.values.items() if "." not in n or n.partition(".")[0] in names}
-        stepper = Stepper(replace(self.model, effects=()).with_values(base))
-        states = [q.name for q in self.printer.states]
-        acting = [q.name for q in stepper.model.states]
-        state, command = tuple(at.x[states.index(name)] for name in acting), tuple(at.u)
-        rates = dict.fromkeys(states, 0.0) | dict(zip(acting, stepper.derivative(at.t, state, command), strict=True))
-        values = [(f"der({name})", "equations", rate) for name, rate in rates.items()]
-        outputs = zip(self.model.outputs, stepper.output(at.t, state, command), strict=True)
-        values += [(q.name, "equations", value) for q, value in outputs]
-        after, starts, place = Values(), Values(), 0
-        awake = {e.name: e for e in stepper.model.awake}
-        for effect in overrides(self.printer.trace.effects, "shape", Effect):
-            if effect.delay:
-                continue
-            own = tuple(at.memory[place : place + len(effect.memory)])
-            place += len(own)
-            now = begin = (math.nan,) * len(own)
-            if active := awake.get(effect.name):
-                begin = active.remember(at.t, own)
-                command, now = active.shape(SCALAR, at.t, at.h, command, own)
-            for q, value, start in zip(effect.memory, now, begin, strict=True):
-                quantity = f"{effect.name}.{q.name} in memory"
-                after.append((quantity, "shape", value))
-                starts.append((f"{quantity} at the start", "remember", start))
-        shaped = zip(self.model.inputs, command, strict=True)
-        return [*values, *((f"{q.name} after all effects", "shape", value) for q, value in shaped), *after, *starts]
+def generated_code(trace: Trace) -> Callable[[EvaluationPoint, set[str]], list[float]]:
+    """Return the generated equations, printed as Python instead of C, as a function of a point and active effects."""
+    parameters, effects = list(trace.s.parameters), [e.name for e in trace.effects]
+    places = trace.places({name: k for k, name in enumerate(parameters)})
+    functions = (
+        ("derivatives", "t x u p", trace.blocks, trace.derivative),
+        ("outputs", "t x u p", trace.blocks, trace.outputs),
+        ("shape", "t h u memory p", trace.shaping, [*trace.shaped, *trace.remembered]),
+        ("remember", "t memory p", (), trace.started),
+    )
+    # functions of numpy, because they give NaN or infinity like C, where those of `math` raise exceptions
+    scope: dict[str, Any] = {"math": SimpleNamespace(**{**vars(math), **vars(np)})}
+    for name, arguments, blocks, results in functions:
+        exec(function(Python(), name, arguments, blocks, results, places), scope)
 
-    def draw_point(self, awake: tuple[Any, ...], code: GeneratedCode, k: int) -> EvaluationPoint:
-        """Return the random point of draw k.
+    def evaluated(at: EvaluationPoint, awake: set[str]) -> list[float]:
+        numbers = {**vars(at), "p": [at.values[n] for n in parameters]}
+        values: list[float] = []
+        for name, arguments, _, results in functions:
+            out, ordered = [math.nan] * len(results), (numbers[argument] for argument in arguments.split())
+            cells = [np.float64(v) if isinstance(v, float) else [*map(np.float64, v)] for v in ordered]
+            with np.errstate(all="ignore"):
+                scope[name](*cells, [n in awake for n in effects], out)
+            values += map(float, out)
+        return values
 
-        The first points have the model's parameter values. From draw POINTS on, points approach the start values.
-        """
-        size = 1.0 if k < POINTS else 10.0 ** -(k - POINTS + 1)
-        uniform = self.random.uniform
+    return evaluated
 
-        def near(value: float) -> float:
-            return value + size * uniform(-1, 1) * max(1.0, abs(value))
 
-        def scaled(p: Parameter, value: Any) -> Any:
-            if isinstance(value, bool) or k % POINTS == 0:
-                return value
-            return min(p.bounds[1], max(p.bounds[0], value * uniform(0.8, 1.2)))
+def evaluate(
+    model: Model, printer: ModelPrinter, names: set[str], at: EvaluationPoint
+) -> Iterator[tuple[str, str, float]]:
+    """Yield quantity, method of the model and value, in the order of the generated functions, by Python.
 
-        values = {p.name: scaled(p, getattr(self.model, p.name)) for p in self.model.parameters}
-        for kind in self.model.catalogue:
-            for p in parameters_of(kind):
-                value = p.default  # the neutral value, if the parameter has one
-                if p.neutral is not None and kind in awake:
-                    gap = min(1.0, p.bounds[1] - p.neutral) / 2.0
-                    value = p.typical or p.neutral + (gap if gap > 0.0 else -1.0)
-                values[f"{kind.name}.{p.name}"] = value if value == p.neutral else scaled(p, value)
-            for name, smaller in kind.at_least.items() if kind in awake else ():
-                key = f"{kind.name}.{name}"
-                values[key] = max(values[key], values[f"{kind.name}.{smaller}"])
-        starts = dict(zip((q.name for q in self.model.states), self.model.start(), strict=True))
-        memory = [near(q.start) for _, q in self.printer.remembering]
-        state = [near(float(starts.get(q.name, q.start))) for q in self.printer.states]
-        command = [near(float(v)) for v in self.model.start_command()]
-        substep = self.model.substep * uniform(0.1, 1.0)
-        return EvaluationPoint(uniform(0.0, 10.0), substep, state, command, memory, {**values, **code.switches})
+    The memory of a dormant effect is NaN. Delays are skipped, because their C code is not generated.
+    """
+    base = {n: v for n, v in at.values.items() if "." not in n or n.partition(".")[0] in names}
+    stepper = Stepper(replace(model, effects=()).with_values(base))
+    states = [q.name for q in printer.states]
+    acting = [q.name for q in stepper.model.states]
+    state, command = tuple(at.x[states.index(name)] for name in acting), tuple(at.u)
+    rates = dict.fromkeys(states, 0.0) | dict(zip(acting, stepper.derivative(at.t, state, command), strict=True))
+    yield from ((f"der({name})", "equations", rate) for name, rate in rates.items())
+    outputs = zip(model.outputs, stepper.output(at.t, state, command), strict=True)
+    yield from ((q.name, "equations", value) for q, value in outputs)
+    remembered, started, place = list[tuple[str, str, float]](), list[tuple[str, str, float]](), 0
+    awake = {e.name: e for e in stepper.model.awake}
+    for effect in overrides(printer.trace.effects, "shape", Effect):
+        if effect.delay:
+            continue
+        own = tuple(at.memory[place : place + len(effect.memory)])
+        place += len(own)
+        after = start = (math.nan,) * len(own)
+        if active := awake.get(effect.name):
+            start = active.remember(at.t, own)
+            command, after = active.shape(SCALAR, at.t, at.h, command, own)
+        quantities = [f"{effect.name}.{q.name} in memory" for q in effect.memory]
+        remembered += zip(quantities, ["shape"] * len(own), after, strict=True)
+        started += zip(quantities, ["remember"] * len(own), start, strict=True)
+    yield from ((f"{q.name} after all effects", "shape", v) for q, v in zip(model.inputs, command, strict=True))
+    yield from (*remembered, *started)
 
-    def refusal(self, difference: Difference, awake: tuple[Any, ...], code: GeneratedCode) -> UnprintableModel:
-        """Return the error for a difference between Python and C, with the class at fault and the cure."""
-        quantity, hook, python, generated = difference
-        kinds, model = self.model.catalogue, type(self.model)
-        words = [f"{', '.join(e.name for e in awake)} active" if awake else "no effect active"]
-        words += [f"{name} {str(on).lower()}" for name, on in code.switches.items()]
-        text = f"{quantity} is {python:.9g} in Python and {generated:.9g} in C, with {', '.join(words)}"
-        if len(awake) == 1:
-            return UnprintableModel(text, awake[0], "" if hook == "equations" else hook, DECIDED)
-        if awake or not kinds or self.first_difference(kinds, code):
-            return UnprintableModel(text, model, "equations", DECIDED)
-        # An effect is at fault if the difference occurs with only this effect dormant.
-        others = ((kind, tuple(k for k in kinds if k is not kind)) for kind in kinds)
-        culprits = [kind for kind, rest in others if self.first_difference(rest, code)]
-        owner, hook = (culprits[0], "") if len(culprits) == 1 else (model, "equations")
-        return UnprintableModel(text, owner, hook, NOT_NEUTRAL)
+
+def draw_point(
+    model: Model,
+    printer: ModelPrinter,
+    awake: Sequence[type[Effect]],
+    switches: Mapping[str, bool],
+    k: int,
+    uniform: Callable[[float, float], float],
+) -> EvaluationPoint:
+    """Return the random point of draw k.
+
+    The first points have the model's parameter values. From draw POINTS on, points approach the start values.
+    """
+    size = 10.0 ** min(0, POINTS - k - 1)
+
+    def near(value: float) -> float:
+        return value + size * uniform(-1, 1) * max(1.0, abs(value))
+
+    def scaled(p: Parameter, value: Any) -> Any:
+        if isinstance(value, bool) or k % POINTS == 0:
+            return value
+        return min(p.bounds[1], max(p.bounds[0], value * uniform(0.8, 1.2)))
+
+    values = {p.name: scaled(p, getattr(model, p.name)) for p in model.parameters}
+    for kind in model.catalogue:
+        for p in parameters_of(kind):
+            value = p.default  # the neutral value, if the parameter has one
+            if p.neutral is not None and kind in awake:
+                gap = min(1.0, p.bounds[1] - p.neutral) / 2.0
+                value = p.typical or p.neutral + (gap if gap > 0.0 else -1.0)
+            values[f"{kind.name}.{p.name}"] = value if value == p.neutral else scaled(p, value)
+        for name, smaller in kind.at_least.items() if kind in awake else ():
+            key = f"{kind.name}.{name}"
+            values[key] = max(values[key], values[f"{kind.name}.{smaller}"])
+    starts = dict(zip((q.name for q in model.states), model.start(), strict=True))
+    memory = [near(q.start) for _, q in printer.remembering]
+    state = [near(float(starts.get(q.name, q.start))) for q in printer.states]
+    command = [near(float(v)) for v in model.start_command()]
+    substep = model.substep * uniform(0.1, 1.0)
+    return EvaluationPoint(uniform(0.0, 10.0), substep, state, command, memory, {**values, **switches})

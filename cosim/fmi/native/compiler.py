@@ -27,8 +27,6 @@ OPTIONS = ("-std=c99", "-O3", "-fno-math-errno", "-ffp-contract=off", "-shared")
 POSITION = [] if sys.platform == "win32" else ["-fPIC"]  # option for code of libraries on this machine
 COMPILER_TIMEOUT_S = 900.0  # time limit of the compiler [s]
 ZIG = "ziglang"  # C compiler for every platform, on PyPI
-# library headers with plain names: Linux, Windows; with packed names: macOS
-UNPACKED_NAMES, PACKED_NAMES = (b"\x7fELF", b"MZ"), (b"\xcf\xfa\xed\xfe", b"\xca\xfe\xba\xbe")
 
 
 @dataclass(frozen=True)
@@ -142,11 +140,6 @@ def fmi_headers() -> Path:
     return Path(fmpy.__file__).with_name("c-code")
 
 
-def library_command() -> list[str]:
-    """Return the command that compiles a library for this machine; raise NoCompiler without a compiler."""
-    return [*required_compiler(), "-shared", *POSITION]
-
-
 def cure(extra: str) -> str:
     """Return how to install a C compiler, as part of a message."""
     return f"install gcc or clang, name a compiler in CC, or {install_command(extra)}"
@@ -163,7 +156,6 @@ def library_of(
     files: Mapping[str, bytes],
     main: str,
     command: Sequence[str],
-    exports: Sequence[str] = (),
     *,
     libraries: Sequence[str] = ("-lm",),
     limit: float = COMPILER_TIMEOUT_S,
@@ -176,7 +168,6 @@ def library_of(
         files: Contents by path below the compiler's folder.
         main: Path of the file to compile.
         command: Command of the compiler.
-        exports: Functions that the library must contain; some commands succeed without creating a usable library.
         limit: Time limit of the compiler [s].
 
     Raises:
@@ -190,7 +181,7 @@ def library_of(
 
     for library in stem.parent.glob(f"{stem.name}-*.so"):
         data = library.read_bytes()
-        if library == path_of(data) and not _missing_exports(data, exports):
+        if library == path_of(data):
             return library
         library.unlink(missing_ok=True)
     data, name = b"", shlex.join(command[:1])
@@ -221,24 +212,13 @@ def library_of(
         lines = output.splitlines() or ["it printed no message and wrote no library"]
         line = next((line for line in lines if "error" in line.lower()), lines[-1])
         raise CompilerFailed(f"{name} failed: {line}", output)
-    if missing := _missing_exports(data, exports):
-        raise CompilerFailed(f"{name} failed: its output is not a library with the function {missing[0]}")
     with draft_of(path_of(data)) as draft:
         draft.write_bytes(data)
     return path_of(data)
 
 
-def _missing_exports(library: bytes, exports: Sequence[str]) -> list[str]:
-    """Return the required functions that a library lacks."""
-    if library.startswith(PACKED_NAMES):  # names are stored as a tree of parts
-        return []
-    return [name for name in exports if not library.startswith(UNPACKED_NAMES) or name.encode() + b"\0" not in library]
-
-
 def load_library(source: str, *headers: Path) -> ctypes.CDLL:
     """Compile source and headers for this machine, and return the loaded library.
-
-    A library is compiled again if the cached one does not load on this machine.
 
     Raises:
         NoCompiler: No compiler exists.
@@ -249,9 +229,6 @@ def load_library(source: str, *headers: Path) -> ctypes.CDLL:
     library = library_of(files, "model.c", command)
     try:
         return ctypes.CDLL(str(library))
-    except OSError:
-        library.unlink(missing_ok=True)
-    try:
-        return ctypes.CDLL(str(library_of(files, "model.c", command)))
     except OSError as error:
+        library.unlink(missing_ok=True)  # a cache of another machine; the next command compiles again
         raise CompilerFailed(f"{command[0]} built a library that does not load: {error}") from error

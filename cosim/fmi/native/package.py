@@ -15,7 +15,7 @@ from cosim.core.version import __version__
 from cosim.fmi.annotations import TOOL
 from cosim.fmi.fmu_build import Recipe, digest, write_zip
 from cosim.fmi.model_description import ASSETS, Description, describe, documentation
-from cosim.fmi.native.check import Check
+from cosim.fmi.native.check import check
 from cosim.fmi.native.compiler import commands, fmi_headers, glibc_floor, library_of
 from cosim.fmi.native.printing import ModelPrinter, variable_tables
 from cosim.fmi.ports import Port
@@ -55,10 +55,6 @@ class Native:
 SIZE_MACROS = ("STATES", "MEMORIES", "KINKS", "RANGES", "EFFECTS", "OWN", "EXCHANGE")
 FOLDER = Path(__file__).resolve().parent
 COMMON_SOURCES = ("floating.h", "near.h", "rk4.h", "stiff.h", "model.h", "instance.c", "fmi.c")
-EXPORTS = {
-    2: ("fmi2Instantiate", "fmi2DoStep", "fmi2GetReal"),
-    3: ("fmi3InstantiateCoSimulation", "fmi3DoStep", "fmi3GetFloat64"),
-}
 BUILD_DESCRIPTION = """<?xml version="1.0" encoding="UTF-8"?>
 <fmiBuildDescription fmiVersion="3.0">
   <BuildConfiguration modelIdentifier="{identifier}">
@@ -89,7 +85,7 @@ def native_model(model: Model, recipe: Recipe, name: str) -> Native:
     """Return a model as a native FMU; raise UnprintableModel if the generated code differs from the model's Python."""
     printer = ModelPrinter(model, recipe.about.ports)
     body, sizes = printer.sources()
-    Check(model, printer).run()
+    check(model, printer)
     variables = [Port(f"{q.name}_state", "state", 0.0, q.unit, f"state: {q.doc}") for q in printer.states]
     for q in printer.states:
         unit = unit_of_rate(q.unit)
@@ -189,7 +185,7 @@ def build_native(native: Native, path: Path, fmi: int = 2, platforms: Sequence[s
     members["model.png" if is2 else "terminalsAndIcons/icon.png"] = (ASSETS / "model.png").read_bytes()
     floors = {}
     for platform, command in targets.items():
-        library = library_of(sources, "all.c", command, EXPORTS[fmi]).read_bytes()
+        library = library_of(sources, "all.c", command).read_bytes()
         members[f"binaries/{platform.folder(fmi)}/{identifier}{platform.suffix}"] = library
         floors[platform.name] = glibc_floor(library)
     members["modelDescription.xml"] = description(guid)

@@ -7,7 +7,6 @@ from collections.abc import Iterable, Iterator, Sequence
 from itertools import product
 from typing import Any
 
-from cosim.files.cache import fingerprint, load_or_make
 from cosim.fmi.ports import Port
 from cosim.model.model import STIFF, Effect, Model, overrides
 from cosim.model.namespaces import SymbolNamespace
@@ -84,7 +83,17 @@ class ModelPrinter:
 
     def sources(self) -> tuple[str, dict[str, object]]:
         """Return all generated C code of the model, and the definitions of its `config.h`."""
-        functions, body_kinks, kinks_in_all, calls = load_or_make(self._serialize(), self._functions)
+        indicators = []  # of kinks, per variant: for derivatives and outputs, and for shaping without memory
+        for trace in self.variants:
+            moving = {*trace.s.state, *trace.s.command, trace.s.time}
+            at_once = [b for b in trace.shaping if b.effect is None or not trace.effects[b.effect].memory]
+            shaped = moving.union(*(b.values for b in trace.shaping))
+            ends = [*trace.derivative, *trace.outputs]
+            indicators.append((kinks(trace.blocks, ends, moving), kinks(at_once, [], shaped)))
+        counts = [max(len(pair[k][1]) for pair in indicators) for k in (0, 1)]
+        calls = [extract_calls(trace.blocks, trace.derivative) for trace in self.variants]
+        printed = [self._variant(*of, counts) for of in zip(self.variants, indicators, calls, strict=True)]
+        functions = [self._merge(variants) for variants in zip(*printed, strict=True)]
         parts = [self._tables(), *functions, self._starts(), *self._questions()]
         delay, longest = self.delay, 0.0
         if delay:
@@ -96,9 +105,9 @@ class ModelPrinter:
             "OWN": len(self.states) + len(self.remembering) + 2 * len(self.model.inputs),
             "EFFECTS": len(self.trace.effects),
             "RANGES": len(self.model.valid),
-            "BODY_KINKS": body_kinks,
-            "KINKS": kinks_in_all,
-            "NEAR": calls,
+            "BODY_KINKS": counts[0],
+            "KINKS": sum(counts),
+            "NEAR": max(len(near) for _, _, near in calls),
             "DELAY": self.trace.effects.index(delay) if delay else -1,
             "DELAY_TIME": self.place[f"{delay.name}.{delay.delay}"] if delay else 0,
             "DELAY_LONGEST": number(longest),
@@ -108,34 +117,6 @@ class ModelPrinter:
             "EXCHANGE": 1,
         }
         return "\n".join(parts), sizes
-
-    def _serialize(self) -> str:
-        """Return a text that determines all generated functions; its hash is the key of the cache."""
-        from sympy import srepr
-
-        parts: list[Any] = [fingerprint(("cosim.model.symbolic", "cosim.fmi.native"))]
-        for trace in self.variants:
-            blocks = [[[*vars(block).values()] for block in each] for each in (trace.blocks, trace.shaping)]
-            ends = [trace.derivative, trace.outputs, trace.shaped, trace.remembered, trace.started, trace.memory]
-            symbols = [trace.s.time, trace.step, *trace.s.state, *trace.s.command]
-            places = [[name, self.place[name], s] for name, s in trace.s.parameters.items()]
-            parts.append([blocks, ends, symbols, places, [bool(e.memory) for e in trace.effects]])
-        return str(srepr([parts, [self.place[name] for name in self.switches]]))
-
-    def _functions(self) -> tuple[list[str], int, int, int]:
-        """Return the C functions and three counts: kinks of derivatives and outputs, all kinks, extracted calls."""
-        indicators = []  # of kinks, per variant: for derivatives and outputs, and for shaping without memory
-        for trace in self.variants:
-            moving = {*trace.s.state, *trace.s.command, trace.s.time}
-            at_once = [b for b in trace.shaping if b.effect is None or not trace.effects[b.effect].memory]
-            shaped = moving.union(*(b.values for b in trace.shaping))
-            ends = [*trace.derivative, *trace.outputs]
-            indicators.append((kinks(trace.blocks, ends, moving), kinks(at_once, [], shaped)))
-        sizes = [max(len(pair[k][1]) for pair in indicators) for k in (0, 1)]
-        calls = [extract_calls(trace.blocks, trace.derivative) for trace in self.variants]
-        printed = [self._variant(*of, sizes) for of in zip(self.variants, indicators, calls, strict=True)]
-        merged = [self._merge(variants) for variants in zip(*printed, strict=True)]
-        return merged, sizes[0], sum(sizes), max(len(near) for _, _, near in calls)
 
     def _variant(self, trace: Trace, indicators: Any, near: Any, sizes: Sequence[int]) -> list[Function]:
         """Return the functions for certain values of the Boolean parameters."""

@@ -28,7 +28,6 @@ from cosim.fmi.native.compiler import (
     library_of,
     this_platform,
 )
-from cosim.fmi.native.package import EXPORTS
 from cosim.fmi.native.printing import number, quote, table
 from cosim.terms.code import TermCode
 
@@ -258,13 +257,11 @@ def wrap(
         raise CannotWrap(f"{original.name} is FMI {about.fmiVersion}; only FMI 2.0 and 3.0 can be wrapped")
     fmi = int(about.fmiVersion[0])
     interfaces = _interfaces(original.name, about, terms)
-    if indicator is not None:
-        _check_indicator(original.name, about, indicator)
     first = max((int(v.valueReference) for v in about.modelVariables), default=-1) + 1
-    config = _config(about, terms, values, interfaces, first=first, substep=substep or 0.0, indicator=indicator)
     root = describe_wrapped(description_of(original), original.name, interfaces, terms, values, first)
     if indicator is not None:
-        _declare_valid(root, indicator, first + len(terms.parameters))
+        _declare_valid(root, original.name, about, indicator, first + len(terms.parameters))
+    config = _config(about, terms, values, interfaces, first=first, substep=substep or 0.0, indicator=indicator)
     headers = {p.name: p.read_text(encoding="utf-8") for p in sorted(fmi_headers().glob(f"fmi{fmi}*.h"))}
     types = headers[f"fmi{fmi}FunctionTypes.h"]
     files = "loading.c", "history.c", "wrapper.c", f"wrapper{fmi}.c"
@@ -323,25 +320,22 @@ def _interfaces(file: str, about: Any, terms: TermCode) -> dict[str, str]:
     return found
 
 
-def _check_indicator(file: str, about: Any, indicator: Indicator) -> None:
-    """Raise CannotWrap if the FMU cannot have the output `valid`."""
-    variables = {v.name: v for v in about.modelVariables}
-    if VALID in variables:
-        raise CannotWrap(f'{file} already has a variable "{VALID}"; rename that variable in the tool that made the FMU')
-    for name in indicator.signals:
-        v = variables.get(name)
-        if v is None or v.type not in DOUBLE_TYPES or v.shape:
-            kind = "no variable" if v is None else "an array" if v.shape else f"of type {v.type}"
-            raise CannotWrap(
-                f"{name} is {kind} of {file}; the output `{VALID}` needs scalar real inputs and outputs. "
-                "`cosim run` computes the validity of a run also without this output"
-            )
+def _declare_valid(root: Any, file: str, about: Any, indicator: Indicator, reference: int) -> None:
+    """Add the output `valid`. It depends on what the outputs at the end of a sample depend on.
 
-
-def _declare_valid(root: Any, indicator: Indicator, reference: int) -> None:
-    """Add the output `valid`. It depends on what the outputs at the end of a sample depend on."""
+    Raises:
+        CannotWrap: The FMU cannot have this output.
+    """
     from lxml import etree
 
+    scalar = {v.name for v in about.modelVariables if v.type in DOUBLE_TYPES and not v.shape}
+    if any(v.name == VALID for v in about.modelVariables):
+        raise CannotWrap(f'{file} already has a variable "{VALID}"; rename that variable in the tool that made the FMU')
+    if unsuitable := [name for name in indicator.signals if name not in scalar]:
+        raise CannotWrap(
+            f"{unsuitable[0]} is no scalar real variable of {file}, which the output `{VALID}` needs. `cosim run` "
+            "computes the validity of a run also without this output"
+        )
     fmi, variables, structure = int(root.get("fmiVersion")[0]), root.find("ModelVariables"), root.find("ModelStructure")
     for exchange in root.findall("ModelExchange"):
         exchange.set(*STEP_FLAGS[fmi])  # a sample ends at a step of the host's solver
@@ -500,7 +494,7 @@ def _libraries(
                 at = f"binaries/{folder}/{library if library in libraries else libraries[0]}"
                 files_of_c = {**sources, "config.h": f"{config}#define ORIGINAL {quote(at)}\n".encode()}
                 more = ("-lm", "-ldl") if platform.suffix == ".so" else ("-lm",)
-                path = library_of(files_of_c, "all.c", command, EXPORTS[fmi], libraries=more)
+                path = library_of(files_of_c, "all.c", command, libraries=more)
                 made[f"binaries/{folder}/{library}"] = path.read_bytes()
             members |= made
         except (NoCompiler, CompilerFailed) as error:
