@@ -199,7 +199,11 @@ def report_command(folder: Path, *, figures: bool = False, open: bool = False, j
         raise InputError.at(rows_in(path) or path, "has no rows: the run stopped before the first row; run it again")
     check_writable(path, ("report.html",))
     warn(*run.warnings)
-    write_pages(path, run.results, {"warnings": [], **run.manifest}, figures=figures)
+    try:
+        write_pages(path, run.results, {"warnings": [], **run.manifest}, figures=figures)
+    except (LookupError, TypeError, ValueError, AttributeError) as error:
+        reason = f"is damaged ({type(error).__name__}: {error}); run the scenario again"
+        raise InputError.at(path / "manifest.json", reason) from None
     page = path / "report.html"
     say(f"report:  {page}")
     if json:

@@ -165,10 +165,10 @@ class Graph:
 
 def graph_of_run(run: Run) -> Graph | None:
     """Return the diagram of a run; None if the manifest is incomplete."""
-    order, held = run.manifest.get("order"), run.manifest.get("held")
-    if not isinstance(order, list) or not isinstance(held, list) or set(order) != set(run.components):
+    order = run.manifest.get("order", ())
+    if set(order) != set(run.components):
         return None
-    return graph_from(run.scenario, [str(name) for name in order], {str(h) for h in held}, run.results.units)
+    return graph_from(run.scenario, order, set(run.manifest.get("held", ())), run.results.units)
 
 
 def graph_from(scenario: Mapping[str, Any], order: Sequence[str], held: set[str], units: Mapping[str, str]) -> Graph:
@@ -182,19 +182,18 @@ def graph_from(scenario: Mapping[str, Any], order: Sequence[str], held: set[str]
     about = {}
     for name in order:
         component = run.components.get(name, {})
-        facts = {**component, "file": PurePath(str(component.get("fmu") or component.get("file") or "")).name}
+        facts = {**component, "file": PurePath(component.get("fmu") or component.get("file") or "").name}
         about[name] = ", ".join(_cut(text.format(facts[key])) for key, text in FACTS.items() if facts.get(key))
     silent, arrays = scenario.get("noise") is False, {name.partition("[")[0] for name in held}
     links = []
     for link in run.connections:
-        source, target = str(link.get("from")), str(link.get("to"))
+        source, target = link["from"], link["to"]
         texts = ((text, text.startswith("fault")) for text in disturbances(run, link))
         acting = tuple(text if is_fault else f"noise {text}" for text, is_fault in texts if is_fault or not silent)
         if about.keys() >= {source.partition(".")[0], target.partition(".")[0]}:
             pair = units.get(source, ""), units.get(target, "")
             links.append(DiagramLink(source, target, pair, acting, target in held | arrays))
-    algorithm = algorithms().get(str(scenario.get("algorithm")), DEFAULT)
-    return Graph(str(scenario.get("name") or ""), about, links, algorithm)
+    return Graph(scenario.get("name", ""), about, links, algorithms().get(scenario.get("algorithm", ""), DEFAULT))
 
 
 def _width(name: str, unit: str, notes: Sequence[str]) -> float:
