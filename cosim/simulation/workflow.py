@@ -170,7 +170,7 @@ def run(
             if not is_package:
                 remove_earlier(place, read=file.files)
             check_writable(place, (rows_file, MANIFEST_FILE, "report.html"), file.files)
-            system = replace(with_feedthrough(file, system, worker, tell), pace=file.scenario.pace)
+            system = replace(with_feedthrough(file, system, worker), pace=file.scenario.pace)
             command = content_of(place / STARTED).get(COMMAND_KEY, VERB)
             record = manifest(file, system, "" if command == VERB else command) | software.result()
             if is_package:
@@ -302,7 +302,7 @@ def _prepare_stopped(
     if steps:
         file = stopped.scenario(until, steps)
         system = build_system(file)
-    system = with_feedthrough(file, system, worker, tell)
+    system = with_feedthrough(file, system, worker)
     start = stopped.start(system, file.scenario)
     if until is not None and start is not None:
         grid, limits = (file.scenario.steps, file.scenario.step), file.scenario.limits or Limits()
