@@ -28,7 +28,6 @@ from cosim.master.remote import RUN_MODULES, simulate_in
 from cosim.scenario.scenario_file import ScenarioFile
 from cosim.simulation.manifest import check_pinned
 from cosim.simulation.packaged import lay_out
-from cosim.system.recording import recording_notes
 from cosim.system.system import System, build_system
 
 MAX_CALL_TIME = 60.0  # allowed time [s] of a call during the trial of an FMU
@@ -111,8 +110,7 @@ def _check(file: ScenarioFile, path: Path, worker: Worker | None, warnings: Sequ
         system = with_feedthrough(file, system, worker)
         said = _run_once(file, system, path, worker)
     shown = [text for text in (*system.warnings, *said) if isinstance(text, CheckWarning)]
-    notes = recording_notes(file.scenario, system.columns, system.recording)
-    return [*map(with_severity, (*warnings, *shown, *notes))]
+    return [*map(with_severity, (*warnings, *shown))]
 
 
 def _run_once(file: ScenarioFile, system: System, path: Path, worker: Worker) -> list[str]:

@@ -36,17 +36,12 @@ def event_block(building: Building, name: str, component: FmuComponent, path: Pa
     uses = way == "scheduled-execution" or (wanted and has_event_mode(description, way))
     if not uses:
         if component.event_mode:
-            reason = "its FMU declares none (hasEventMode)"
-            if not description.fmiVersion.startswith("3") or way != "co-simulation":
-                version = f"FMI {description.fmiVersion} for {way}"
-                reason = f"it runs as {version}; event mode needs FMI 3.0 for co-simulation"
-            building.note(("components", name, "event_mode"), f"{name} has no event mode: {reason}")
+            message = f"{name} has no event mode, which needs FMI 3.0, co-simulation and the capability hasEventMode"
+            building.note(("components", name, "event_mode"), message)
             return None
         if component.clocks:
-            message = f"{name} has no clocks; remove clocks:"
-            if clocks:
-                message = f"the clocks of {name} need event mode; remove event_mode: false"
-            building.note(("components", name, "clocks"), message)
+            cure = "remove event_mode: false" if clocks else "remove clocks:"
+            building.note(("components", name, "clocks"), f"{name} has no clocks without event mode; {cure}")
         return FmuBlock
     timings = {}
     for clock_name, timing in component.clocks.items():
@@ -57,13 +52,11 @@ def event_block(building: Building, name: str, component: FmuComponent, path: Pa
         elif full_name in scenario.targets:
             message = f"{full_name} has both times in the scenario and a connection; keep one"
         elif clock.kind == "constant" or (clock.kind != "triggered" and clock.interval is None):
-            what = f"{full_name} is a {clock.kind} clock, whose times the FMU specifies"
-            message = f"{what}; remove its times from the scenario"
-        elif clock.kind in PERIODIC and (timing.at or timing.shift is not None):
-            what = f"{full_name} is a {clock.kind} clock: give its interval only"
-            message = f"{what}; only triggered clocks have shift: and at:"
-        elif bool(timing.at) == (timing.interval is not None):
-            message = f"{full_name} needs either interval: or at:"
+            message = f"the FMU specifies the times of {full_name}; remove them from the scenario"
+        elif bool(timing.at) == (timing.interval is not None) or (
+            clock.kind in PERIODIC and (timing.at or timing.shift is not None)
+        ):
+            message = f"{full_name} is a {clock.kind} clock; give its interval, or for a triggered clock at:"
         elif timing.at != sorted(set(timing.at)) or (timing.at and timing.at[0] < scenario.start_time):
             message = f"the times of {full_name} must increase and not precede the start of the run"
         else:

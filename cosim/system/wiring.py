@@ -248,10 +248,10 @@ def _objection(connection: Connection, source: Signal, target: Signal) -> str:
             f"{_numbers(source.items)}, {connection.target} has {_numbers(target.items)}"
         )
     if connection.conversion is None and source.conversion(target) is None:
-        reason = f"unit mismatch: {connection.source} [{source.unit}] to {connection.target} [{target.unit}]"
-        if source.unit == target.unit:
-            reason += ", which their FMUs define with different dimensions"
-        return f"{reason}. To pass the number unchanged, add factor: 1"
+        return (
+            f"unit mismatch: {connection.source} [{source.unit}] to {connection.target} [{target.unit}], as defined by "
+            "their FMUs. To pass the number unchanged, add factor: 1"
+        )
     return ""
 
 
@@ -278,25 +278,19 @@ def _transfers(
             pass  # another check reports the fault of this component
         elif text in ends[other]:
             building.note(where, f"{text} is one of the {other} of {name}; connect an output to an input")
-        elif any(s.local and s.name == variable for s in _signals(component, side)):
-            building.note(where, f"{text} is a local variable of {name}, not an output; connect an output to an input")
         else:
             names = [end.partition(".")[2] for end in ends[side] if end.startswith(f"{name}.")]
             hint = did_you_mean(variable, names)
             building.note(where, f'{name} has no {side[:-1]} "{variable}"{hint} (its {side}: {_some(names)})')
-    if len(found) < 2:
-        return ()
-    sources, targets = found
-    try:
-        if len(sources) != len(targets):
-            text = f"{connection.source} to {connection.target}"
-            raise ValueError(
-                f"{text}: {len(sources)} values cannot be connected to {len(targets)}; connect equal sizes"
-            )
-        return tuple(_transfer(building, connection, *pair) for pair in zip(sources, targets, strict=True))
-    except ValueError as error:
-        building.note(("connections", k), str(error))
-        return ()
+    if len(found) == 2:
+        sources, targets = found
+        try:
+            if len(sources) != len(targets):
+                raise ValueError(f"{len(sources)} values cannot be connected to {len(targets)}; connect equal sizes")
+            return tuple(_transfer(building, connection, *pair) for pair in zip(sources, targets, strict=True))
+        except ValueError as error:
+            building.note(("connections", k), str(error))
+    return ()
 
 
 def _transfer(building: Building, connection: Connection, source: Signal, target: Signal) -> Transfer:
@@ -356,11 +350,7 @@ def _check_faults(building: Building) -> None:
             hint = did_you_mean(fault.on, targets) or f" (connected: {_some(targets)})"
             building.note(("faults", k, "on"), f"{fault.on} is not connected{hint}")
         if getattr(scenario.components.get(fault.on.partition(".")[0]), "step", None) is not None:
-            message = (
-                f"{fault.on} belongs to a component with its own step, where faults are not possible; remove this step "
-                "or the fault"
-            )
-            building.note(("faults", k, "on"), message)
+            building.note(("faults", k, "on"), f"{fault.on} belongs to a component with its own step; remove this step")
         key = needs.get(fault.kind)
         if key is not None and getattr(fault, key) is None:
             building.note(("faults", k), f"{fault.kind} needs {key}; add it")
