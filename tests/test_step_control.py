@@ -79,8 +79,8 @@ def test_components_with_a_step_of_their_own_step_at_rows(tmp_path: Path) -> Non
             "{max: 20 ms, min: 1 ms, estimator: residual, bonds: [{effort: wheel.y0, flow: chassis.y0}]}",
             "not residual",
         ),
-        ("{max: 20 ms, min: 1 ms, bonds: [{effort: wheel.y9, flow: chassis.y0}]}", 'no connected output "wheel.y9"'),
-        ("{max: 20 ms, min: 1 ms, bonds: [{effort: wheel.y0, flow: wheel.y0}]}", "the other side of the bond"),
+        ("{max: 20 ms, min: 1 ms, bonds: [{effort: wheel.y9, flow: chassis.y0}]}", 'no output "wheel.y9"'),
+        ("{max: 20 ms, min: 1 ms, bonds: [{effort: wheel.y0, flow: wheel.y0}]}", "connection to wheel"),
     ],
 )
 def test_keys_that_contradict_each_other_are_named(step: str, words: str, tmp_path: Path) -> None:

@@ -159,12 +159,12 @@ def run(
             prepared = _prepare_stopped(path, until, worker, tell, stack)
         else:
             is_package, warnings = is_ssp(path), list[str]()
-            if not is_package:
-                file = ScenarioFile(path, overrides)
-            name = path.stem if is_package else file.scenario.name
-            place = stack.enter_context(results_in(out, VERB, name, force=force))
             if is_package:
+                place = stack.enter_context(results_in(out, VERB, path.stem, force=force))
                 file, warnings = lay_out(path, place, overrides)
+            else:
+                file = ScenarioFile(path, overrides)
+                place = stack.enter_context(results_in(out, VERB, file.scenario.name, force=force))
             check_pinned(file)
             system, rows_file = build_system(file), rows_name("results", format)
             if not is_package:
@@ -219,7 +219,7 @@ def run(
             raise failure  # files that are already written stay
         record = copy.deepcopy(prepared.record)
         record["loop"] = results.loop
-        simulated = scenario_.duration if start is None else (scenario_.steps + 1 - start.count) * scenario_.step
+        simulated = (scenario_.steps + 1 - (1 if start is None else start.count)) * scenario_.step
         speed = simulated / stepping
         record["timings"] = {"load": loaded - begin, "simulate": stepping, "real_time_factor": speed, **stepped.times}
         add_changes(record, scenario_, [*prepared.changes, *stepped.changes])

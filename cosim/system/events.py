@@ -98,7 +98,7 @@ def is_exchange(component: Any) -> bool:
     return isinstance(component, FmuBlock) and isinstance(component.instance, ModelExchange)
 
 
-def takes_part_of_step(stage: Stage, loops: Sequence[Loop] = ()) -> bool:
+def takes_part_of_step(stage: Stage, loops: Sequence[Loop]) -> bool:
     """Return True if a component can end a step at any event; components of an algebraic loop cannot."""
     component = stage.component
     if any(component.name in loop.members for loop in loops):
@@ -121,13 +121,11 @@ def clock_interval(block: FmuBlock | None, target: str, value: Any) -> Any:
     clock = block.clocks.get(target.partition(".")[2]) if isinstance(block, EventFmu) else None
     if clock is None:
         return None
-    if clock.kind != "tunable" or clock.interval is None:
-        reason = "is a clock with a fixed interval; only a tunable clock with intervalDecimal can be set"
-        raise ValueError(f"{target} {reason}")
     with suppress(ValueError):
         value = read_quantity(value, "s") if isinstance(value, str) else value
-    if isinstance(value, bool) or not isinstance(value, int | float) or not value > 0:
-        raise ValueError(f"{target} is {value!r}; give a clock interval above 0 s")
+    is_time = isinstance(value, int | float) and not isinstance(value, bool) and value > 0
+    if clock.kind != "tunable" or clock.interval is None or not is_time:
+        raise ValueError(f"{target} is {value!r}; give a tunable clock with intervalDecimal, and a time above 0 s")
     return float(value)
 
 
@@ -140,13 +138,10 @@ def check_events(building: Building, plan: Schedule, apart: Collection[str]) -> 
     events = [stage.component for stage in plan.stages if isinstance(stage.component, EventFmu)]
     if not events:
         return
-    loops = {name: loop.name for loop in plan.loops for name in loop.members}
     for stage in plan.stages:
         name, reason = stage.component.name, ""
-        if name in loops:
-            reason = f"is part of the algebraic loop {loops[name]}"
-        elif not takes_part_of_step(stage):
-            reason = "accepts only one step length"
+        if not takes_part_of_step(stage, plan.loops):
+            reason = "accepts only one step length or is part of an algebraic loop"
         elif name in apart and is_exchange(stage.component):
             reason = "uses model exchange in a process of its own"
         if reason:
@@ -246,17 +241,11 @@ class Targets:
     def variable(self, target: str) -> Any:
         """Return the variable `component.variable`; raise ValueError if it cannot be set during a run."""
         name, _, variable_name = target.partition(".")
-        description = self._descriptions.get(name)
-        if description is None:
-            raise ValueError(f'no FMU "{name}" among the components{did_you_mean(name, self._descriptions)}')
-        variables = self._variables[name]
-        variable = variables.get(variable_name)
-        if variable is None:
-            hint = did_you_mean(variable_name, [n for n, v in variables.items() if _is_changeable(v)])
-            raise ValueError(f'{name} has no variable "{variable_name}"{hint}')
-        if not _is_changeable(variable):
-            kind = f"{variable.variability} {variable.causality}"
-            raise ValueError(f"{target} is a {kind}; only inputs and tunable parameters can change during a run")
+        variable = self._variables.get(name, {}).get(variable_name)
+        if variable is None or not _is_changeable(variable):
+            every = (f"{n}.{v.name}" for n, own in self._variables.items() for v in own.values() if _is_changeable(v))
+            hint = did_you_mean(target, every)
+            raise ValueError(f"{target} is no input or tunable parameter of an FMU, so it cannot change in a run{hint}")
         if self._is_connected(target):
             raise ValueError(f"{target} is connected to an output; use faults: to disturb its value")
         return variable
