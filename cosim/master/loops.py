@@ -258,7 +258,6 @@ class LoopSolver:
                 m.component.name: "directional" if m.promised else "differences" for m in self.members if m.inputs
             },
             "repeated": [m.component.name for m in self.members if m.repeats],
-            "slopes_computed": self._roots.computed,
             "iterations": {"start": self._at_start, "most": max(counts, default=0), "total": sum(counts)},
             "points": len(counts),
             **({"not_solved": {"reason": "; ".join(self._unsolved)}} if self._unsolved else {}),

@@ -49,17 +49,6 @@ def settable(variable: Any) -> bool:
     return variable.causality == "input" or variable.initial in {"exact", "approx"} or has_start
 
 
-def kind_of(variable: Any) -> str:
-    """Return a phrase that says why a variable has no settable start value."""
-    phrases = {
-        "output": "an output",
-        "calculatedParameter": "calculated",
-        "independent": "the time",
-        "structuralParameter": "a structural parameter, which cosim does not change",
-    }
-    return phrases.get(variable.causality, variable.variability or "not settable")
-
-
 def with_elements(start: Mapping[str, Any], variables: Mapping[str, Any]) -> dict[str, Any]:
     """Return start values in which values of single array elements are merged into values of arrays.
 
@@ -98,7 +87,8 @@ def start_value(description: Any, variables: Mapping[str, Any], name: str, value
         hint = did_you_mean(name, [n for n, v in variables.items() if settable(v)])
         raise ValueError(f'{component or "the FMU"} has no variable "{name}"{hint}')
     if not settable(variable):
-        raise ValueError(f"{full_name} is {kind_of(variable)}; its start value cannot be set")
+        kind = f"causality {variable.causality}, variability {variable.variability}"
+        raise ValueError(f"{full_name} has no start value that can be set ({kind})")
     try:
         return convert_value(description, variable, value)
     except ValueError as error:

@@ -33,7 +33,7 @@ from cosim.files.folders import content_of, has_type, new_run, newest_run, sound
 from cosim.files.results import Results, read_results, rows_in
 from cosim.files.state_file import sync, unpack
 from cosim.isolation.rows import read_exact, read_table
-from cosim.master.checkpoint import BESIDE_FILE, CHECKPOINT_VERSION, ROWS_FILE, STATE_FILE, Continuation, RowsHash
+from cosim.master.checkpoint import BESIDE_FILE, ROWS_FILE, STATE_FILE, Continuation, RowsHash
 from cosim.master.remote import IN_USE, read_state
 from cosim.scenario.scenario import Scenario
 from cosim.scenario.scenario_file import ScenarioFile
@@ -70,7 +70,6 @@ class StoppedRun:
         rows_file: Name of the file with the rows.
         state: Content of the last checkpoint's file as bytes, if any.
         checkpoint: Last checkpoint, read from `state`.
-        lasted: Wall time [s] of the steps so far, if it is recorded.
     """
 
     folder: Path
@@ -79,7 +78,6 @@ class StoppedRun:
     rows_file: str
     state: bytes | None
     checkpoint: Mapping[str, Any]
-    lasted: float
 
     def base(self, warnings: Sequence[str] | None) -> dict[str, Any]:
         """Return the manifest without timings and outcome.
@@ -158,15 +156,13 @@ class StoppedRun:
         kept = self.folder / CHECKPOINT
         count = self.checkpoint["point"] + 1 if self.checkpoint else 0
         start = None
-        if (kept / ROWS_FILE).is_file():
+        if (rows := kept / ROWS_FILE).is_file():
             width = len(system.columns)
             if not count:
                 raise InputError.at(kept, STOPPED_BEFORE_ROWS)
-            if (kept / ROWS_FILE).stat().st_size < 8 * count * width:
-                raise InputError.at(kept / ROWS_FILE, ROWS_OF_ANOTHER_RUN)
-            start = Continuation(
-                read_table(kept / ROWS_FILE, count, width), read_exact(kept / BESIDE_FILE, count), self.state
-            )
+            if rows.stat().st_size < 8 * count * width:
+                raise InputError.at(rows, ROWS_OF_ANOTHER_RUN)
+            start = Continuation(read_table(rows, count, width), read_exact(kept / BESIDE_FILE, count), self.state)
         elif system.recording is None:
             # the first rows of the results
             results, rows = self._results, self.folder / self.rows_file
@@ -185,11 +181,7 @@ class StoppedRun:
             ]
             values = np.ascontiguousarray(results.values[:count])
             start = Continuation(values, [*zip(*columns, strict=True)], self.state)
-        if (
-            start is not None
-            and self.checkpoint
-            and RowsHash().of(start.values, start.exact, start.count) != self.checkpoint["rows"]
-        ):
+        if start and self.checkpoint and RowsHash().of(start.values, start.exact, count) != self.checkpoint["rows"]:
             raise InputError.at(self.folder, ROWS_OF_ANOTHER_RUN)
         if start is None or (start.count > scenario.steps and rows_in(self.folder) is not None):
             end, time_ = scenario.start_time + scenario.duration, self._results.time
@@ -224,24 +216,18 @@ def open_stopped(path: Path, stack: ExitStack) -> StoppedRun:
     stack.enter_context(new_run(folder, "", "cosim run", force=True))
     kept = folder / CHECKPOINT
     _wait_for_worker(kept)
-    lasted: Any = record.get("timings", {}).get("simulate", 0.0)
     checkpoint: dict[str, Any] = {}
     state = read_state(kept / STATE_FILE)
     if state is not None:
         try:
             checkpoint = unpack(state)
-            if checkpoint["format"] != CHECKPOINT_VERSION:
-                raise InputError.at(
-                    kept / STATE_FILE,
-                    OTHER_VERSION.format(version=f"format {checkpoint['format']}", own=CHECKPOINT_VERSION),
-                )
-            lasted = float(checkpoint["elapsed"])
+            if type(checkpoint["point"]) is not int:
+                raise TypeError("it has no point")
         except (ValueError, LookupError, TypeError, RecursionError) as error:  # also BadState
             raise InputError.at(kept / STATE_FILE, DAMAGED_CHECKPOINT.format(reason=str(error))) from None
     rows = rows_in(folder)
     rows_file = record.get(EXTRA, {}).get("rows", "results.csv" if rows is None else rows.name)
-    lasted = lasted if isinstance(lasted, float) else 0.0
-    return StoppedRun(folder, source, record, rows_file, state, checkpoint, lasted)
+    return StoppedRun(folder, source, record, rows_file, state, checkpoint)
 
 
 def _wait_for_worker(kept: Path) -> None:

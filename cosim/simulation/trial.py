@@ -20,7 +20,7 @@ from cosim.credibility.record import read_credibility
 from cosim.files.artefact import Checking
 from cosim.files.files import FilePath
 from cosim.files.results import Results
-from cosim.fmi.description import read_description, takes_any_step, validation
+from cosim.fmi.description import read_description, validation
 from cosim.isolation.limits import Limits
 from cosim.isolation.process import Worker
 from cosim.master.beforehand import with_feedthrough
@@ -31,7 +31,6 @@ from cosim.simulation.packaged import lay_out
 from cosim.system.system import System, build_system
 
 MAX_CALL_TIME = 60.0  # allowed time [s] of a call during the trial of an FMU
-MOST_INNER_STEPS = 10_000  # of an FMU with a fixed internal step, so that the trial is short
 TRIAL_STEP_S = 0.01  # without a default experiment
 TRIAL_STEPS = 500  # in an experiment without step size
 
@@ -55,9 +54,6 @@ def check_fmu(path: Path, checking: Checking) -> list[str]:
         experiment = experiment_of(description)
         start, stop, step = (experiment.get(name, 0.0) for name in ("start", "stop", "step"))
         step = step if step > 0.0 else (stop - start) / TRIAL_STEPS if stop > start else TRIAL_STEP_S
-        inner = float(getattr(description.coSimulation, "fixedInternalStepSize", None) or 0.0)
-        if inner and takes_any_step(description):
-            step = min(step, MOST_INNER_STEPS * inner)
         times = {"start_time": start, "duration": step, "step": step}
         content = {"name": path.stem, **times, "components": {"fmu": {"fmu": str(path.resolve())}}}
         worker.start()

@@ -95,7 +95,6 @@ def run(
     seed: Seed | None = None,
     pace: float | None = None,
     report: bool = True,
-    figures: bool = False,
     force: bool = False,
     in_process: bool = False,
     compile: bool = False,
@@ -119,7 +118,6 @@ def run(
         seed: Seed for all random numbers (default: the seed of the scenario).
         pace (NUMBER): Simulated seconds per second: 1 for real time (default: that of the scenario).
         report: Write report.html.
-        figures: Write figures/*.png.
         force: Write even if the folder is not empty; results in it are replaced.
         in_process: Load FMUs into this process, for a debugger; limits do not apply.
         compile: Compile and execute the sources of FMUs that have no library for this machine.
@@ -246,9 +244,8 @@ def run(
         if worker is None and scenario_.limits is not None:
             record["warnings"].append("limits are not checked, because FMUs run in this process (--in-process)")
         is_written = goes_on or out is not None
-        pages = {"report": report and is_written, "figures": figures and is_written}
-        state = None if failure is None else stepped.state
-        failure = _write_files(prepared, results, failure, state, record, pages, is_kept=keeping.folder is not None)
+        state, is_kept = None if failure is None else stepped.state, keeping.folder is not None
+        failure = _write_files(prepared, results, failure, state, record, report and is_written, is_kept=is_kept)
     if failure is not None:
         failure.left = place
         raise failure
@@ -328,10 +325,7 @@ def _prepare_stopped(
         time_ = file.scenario.start_time + (start.count - 1) * file.scenario.step
         note = f"the run continues from t = {time_:g} s, row {start.count} of {file.scenario.steps + 1}"
         if names := start.unsaved(system):
-            note += (
-                f"; the state of {', '.join(names)} is not saved, so all steps are repeated, which takes about "
-                f"{stopped.lasted:.2g} s"
-            )
+            note += f"; the state of {', '.join(names)} is not saved, so all steps are repeated"
     tell(Note(note))
     return _Prepared(
         file, stopped.folder, system, stopped.rows_file, record, stopped.warnings, start=start, changes=changes
@@ -344,7 +338,7 @@ def _write_files(
     failure: SimulationError | None,
     state: bytes | None,
     record: dict[str, Any],
-    pages: Mapping[str, bool],
+    report: bool,
     *,
     is_kept: bool,
 ) -> SimulationError | None:
@@ -373,10 +367,10 @@ def _write_files(
             kept = write_run(rows.parent, prepared.record, rows.name, prepared.warnings)
             write_durable(kept / STATE_FILE, state)
         release_stops()
-        if any(pages.values()):
-            from cosim.simulation.report.figures import write_pages
+        if report:
+            from cosim.simulation.report.run_page import write_report
 
-            write_pages(rows.parent, results, record, **pages)
+            write_report(rows.with_name("report.html"), results, record)
     except OSError as error:
         if not is_full(error):
             raise

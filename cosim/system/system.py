@@ -215,7 +215,7 @@ def build_system(file: ScenarioFile) -> System:
     return System(
         **scheduled,
         columns=layout.columns,
-        units=layout.units,
+        units={column: layout.signals[column].unit for column in layout.columns},
         seed=scenario.seed,
         start=scenario.start_time,
         warnings=warnings,

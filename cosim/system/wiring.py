@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from array import array
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cache, cached_property
+from functools import cache, cached_property, partial
 from itertools import islice
 from typing import Any
+
+import numpy as np
 
 from cosim.blocks.component import Component, Signal
 from cosim.blocks.faults import LinkFunction, fault_function, gaussian, points, stream
@@ -43,14 +45,12 @@ class RowLayout:
 
     Attributes:
         columns: Names `component.variable` by index in the row.
-        units: Column → unit, "" without unit.
         beside: Names, like `columns`, of values that doubles cannot represent exactly.
         place: Column → (True if beside the row, index in or beside the row).
         signals: Column → signal.
     """
 
     columns: tuple[str, ...]
-    units: Mapping[str, str]
     beside: tuple[str, ...]
     place: Mapping[str, tuple[bool, int]]
     signals: Mapping[str, Signal]
@@ -88,9 +88,8 @@ class Building:
         for name, component in self.components.items():
             row |= {f"{name}.{s.name}": s for s in (*component.inputs, *component.outputs)}
             beside |= {f"{name}.{s.name}": s for s in (*component.exact_inputs, *component.exact_outputs)}
-        units = {column: signal.unit for column, signal in row.items()}
         place = {c: (aside, k) for aside, part in ((False, row), (True, beside)) for k, c in enumerate(part)}
-        self.layout = RowLayout(tuple(row), units, tuple(beside), place, row | beside)
+        self.layout = RowLayout(tuple(row), tuple(beside), place, row | beside)
 
     @cached_property
     def connected(self) -> dict[str, frozenset[str]]:
@@ -176,15 +175,58 @@ class _Checked(LinkFunction):
         return v
 
 
-def through(chain: Sequence[LinkFunction]) -> Callable[[int, Any], Any]:
-    """Return a function of (point, value) that applies all functions of a chain one after another."""
+Copies = Callable[[int], None]  # function that makes the copies of a communication point
 
-    def value(k: int, v: Any) -> Any:
-        for one in chain:
-            v = one(k, v)
-        return v
 
-    return chain[0] if len(chain) == 1 else value
+class Copying:
+    """Transfers of a run with sensor noise and injected faults, prepared once.
+
+    Attributes:
+        links: Name of a transfer → noise and faults that change its value.
+        functions: Name of a transfer → function of (point, value) that applies them.
+
+    Args:
+        row, beside: Signals of the run.
+        grid: Seed, start [s], communication step [s], and number of communication points.
+    """
+
+    def __init__(self, row: Any, beside: list[Any], grid: tuple[int, float, float, int]) -> None:
+        self._row, self._beside, self._grid = row, beside, grid
+        self._values = np.ctypeslib.as_array(row)
+        self.links: dict[str, Sequence[LinkFunction]] = {}
+        self.functions: dict[str, Callable[[int, Any], Any]] = {}
+
+    def of(self, transfers: Iterable[Transfer]) -> Copies:
+        """Return a function that makes transfers: all plain copies within the row at once, then the others."""
+        sources, targets = list[int](), list[int]()  # of plain copies
+        others: list[tuple[Any, int, Any, int, Callable[[int, Any], Any]]] = []  # from a place to a place by a function
+        for transfer in transfers:
+            if transfer.name not in self.links:
+                chain = self.links[transfer.name] = transfer.through(*self._grid)
+                self.functions[transfer.name] = chain[0] if len(chain) == 1 else partial(_apply, chain)
+            source, target = transfer.source, transfer.target
+            if self.links[transfer.name] or any(transfer.beside):
+                origin, goal = (self._beside if beside else self._row for beside in transfer.beside)
+                others.append((origin, source, goal, target, self.functions[transfer.name]))
+            else:
+                sources.append(source)
+                targets.append(target)
+        values, from_, to = self._values, np.array(sources, np.intp), np.array(targets, np.intp)
+
+        def copy(k: int) -> None:
+            if sources:
+                values[to] = values[from_]
+            for origin, source, goal, target, function in others:
+                goal[target] = function(k, origin[source])
+
+        return copy
+
+
+def _apply(chain: Sequence[LinkFunction], k: int, value: Any) -> Any:
+    """Return the value at point k after all functions of a chain."""
+    for function in chain:
+        value = function(k, value)
+    return value
 
 
 def connect(building: Building) -> list[tuple[Transfer, ...]]:
@@ -269,13 +311,13 @@ def _transfers(
         (connection.target, "inputs", "outputs", "to"),
     ):
         name, _, variable = text.partition(".")
-        where, component = ("connections", k, key), building.components.get(name)
-        if text in ends[side] and name not in building.file.broken:
+        where, declared = ("connections", k, key), building.scenario.components
+        if name in building.file.broken or (name in declared and name not in building.components):
+            continue  # another check reports the fault of this component
+        if text in ends[side]:
             found.append(ends[side][text])
-        elif name not in building.scenario.components and name not in building.file.broken:
-            building.note(where, f'no component "{name}"{did_you_mean(name, building.scenario.components)}')
-        elif component is None or name in building.file.broken:
-            pass  # another check reports the fault of this component
+        elif name not in declared:
+            building.note(where, f'no component "{name}"{did_you_mean(name, declared)}')
         elif text in ends[other]:
             building.note(where, f"{text} is one of the {other} of {name}; connect an output to an input")
         else:

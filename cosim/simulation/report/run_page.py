@@ -7,7 +7,6 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from html import escape
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -17,10 +16,10 @@ import numpy as np
 from cosim.blocks.coupling import algorithms
 from cosim.core import registry
 from cosim.core.arrays import far_beyond
-from cosim.core.text import amount, counted, displayed, is_difference, join_names, plain, showing, some
+from cosim.core.text import amount, counted, displayed, is_difference, join_names, plain, showing
 from cosim.credibility.validity import output_panels, validity_sentence
 from cosim.files.files import write_text
-from cosim.files.results import Results, is_rounded
+from cosim.files.results import Results
 from cosim.files.yaml_file import short
 from cosim.report.cell.cell import MAX_CELL_CURVES, cell_of, rows_to_show
 from cosim.report.charts import Charts, Drawing
@@ -50,7 +49,6 @@ MAX_WIRES = 200  # in the system diagram; `cosim graph` draws all
 MAX_PAGE_SIGNALS = 1000  # signals on a page
 MAX_LISTED_CONNECTIONS = 1000  # connections in the table
 DRAWABLE = 1e100  # a diverged run has larger values, with squares that may overflow
-MAX_NOTED_NAMES = 5  # in a note
 MAX_SPELLED, MAX_CHANGES = 200, 8  # signals on a page, and changes of each
 STEP_MEANING = "time between two exchanges of values among the components"
 MIN_SHARE = 0.01  # of the wall time of a component with a row
@@ -198,21 +196,13 @@ def _panel(run: Run, title: str, traces: Sequence[Trace], columns: Sequence[str]
 
 
 def results_cell(results: Results, names: Sequence[str], title: str) -> str:
-    """Return HTML with an interactive chart of the first of the named signals, one panel per unit.
-
-    A note names text signals, which are not drawn, and integers that are rounded to doubles.
-    """
+    """Return HTML with an interactive chart of the first of the named signals, one panel per unit."""
     shown = tuple(names[:MAX_CELL_CURVES])
     rows = rows_to_show([results[name] for name in shown])  # first of all: a long run is not copied
     values = np.column_stack([results[name][rows] for name in shown]) if shown else np.empty((rows.size, 0))
     run = drawable_run(replace(results, time=results.time[rows], columns=shown, values=values, exact={}), {})
     omitted = len(names) - len(shown)
-    page = cell_of(run.time, signal_panels(run), title, rows=results.time.size, omitted=omitted)
-    texts = [name for name in results.exact if name not in results]
-    rounded = [name for name in shown if name in results.exact and is_rounded(results[name])]
-    notes = ((texts, "not drawn: texts"), (rounded, "above 2⁵³ drawn as the nearest doubles"))
-    parts = [f"{some(of, MAX_NOTED_NAMES)} {text}" for of, text in notes if of]
-    return page + (f"<p><small>{escape('; '.join(parts))}.</small></p>" if parts else "")
+    return cell_of(run.time, signal_panels(run), title, rows=results.time.size, omitted=omitted)
 
 
 def trust(run: Run, drawing: Drawing) -> dict[str, Any]:
@@ -299,8 +289,7 @@ def component_rows(run: Run) -> list[dict[str, str]]:
         settings = []
         for key, value in {**chosen, **component.get("start", {})}.items():
             if key not in hidden:
-                own = " s (communication step of its own)" if key == "step" else ""
-                settings.append(f"{key} = {fact_text(value)}{own}")
+                settings.append(f"{key} = {fact_text(value)}")
         source = component.get("fmu") or component.get("block") or ""
         rows.append({"label": name, "source": source, "kind": kind, "settings": ", ".join(settings)})
     return rows

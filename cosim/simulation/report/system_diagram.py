@@ -1,4 +1,4 @@
-"""Diagram of a system as SVG or Mermaid: components in stepping order, signals, units, noise and faults."""
+"""Diagram of a system as SVG: components in stepping order, signals, units, noise and faults."""
 
 from __future__ import annotations
 
@@ -10,10 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from cosim.blocks.coupling import DEFAULT, Algorithm, algorithms
 from cosim.core.text import counted, written
 from cosim.files.results import Results
-from cosim.files.yaml_file import short
 from cosim.report.template import TEMPLATES, inline
 from cosim.simulation.report.recorded import Run, disturbances
 
@@ -52,7 +50,6 @@ class Graph:
     name: str
     about: Mapping[str, str]
     links: Sequence[DiagramLink]
-    algorithm: Algorithm
 
     def svg(self, *, alone: bool = True) -> str:
         """Return the diagram as SVG.
@@ -116,18 +113,12 @@ class Graph:
             wire = f'<path class="wire{" held" * link.held}" d="{path}V{y2:.1f}H{x2:.1f}"/>'
             tip = f'<path class="tip" d="M{x2:.1f} {y2:.1f}l-8 -4v8z"/>'
             parts.append(f"<g><title>{escape(title)}</title>{wire}{tip}</g>")
-        held, key = [link.held for link in self.links], ""
-        if not self.algorithm.sequential:
-            if held:
-                key = f"{self.algorithm.title}: every component receives the values at the start of the step."
-        else:
-            key = "Numbers are the order in which components step."
-            if any(held):
-                key += " Dashed lines transfer values at the start of the step, other lines values at its end."
-        key_top = bottom + LANE * len(below) + 22
-        parts += [_text("key", MARGIN, key_top, key)] if key else []
-        width = max(x - SLOT + MARGIN / 2, MARGIN * 2 + SMALL_PX * len(key) if key else 0.0)
-        height = key_top + (15 if key else 0)
+        key = "Numbers are the order in which components step."
+        if any(link.held for link in self.links):
+            key += " Dashed lines transfer values at the start of the step, other lines values at its end."
+        height = bottom + LANE * len(below) + 37
+        parts.append(_text("key", MARGIN, height - 15, key))
+        width = max(x - SLOT + MARGIN / 2, MARGIN * 2 + SMALL_PX * len(key))
         summary = f"{counted(len(place), 'component')} of {self.name} in the order in which they step"
         summary += f", {counted(len(wires), 'connection')}"
         size = f'width="{width:.0f}" height="{height:.0f}" viewBox="0 0 {width:.0f} {height:.0f}"'
@@ -137,30 +128,6 @@ class Graph:
             f"<style>{inline([TEMPLATES / name for name in STYLES[: 2 if alone else 1]])}</style>"
             f"{paper}{''.join(parts)}</svg>"
         )
-
-    def mermaid(self) -> str:
-        """Return the diagram as Mermaid text for GitHub, GitLab and editors."""
-
-        def safe(text: str) -> str:
-            return text.replace("&", "#amp;").replace('"', "#quot;").replace("<", "#lt;").replace(">", "#gt;")
-
-        place = {name: f"n{k}" for k, name in enumerate(self.about, 1)}
-        lines = ["flowchart LR"]
-        lines += [
-            f'  {place[name]}["{k} · {safe(name)}<br/>{safe(about)}"]'
-            for k, (name, about) in enumerate(self.about.items(), 1)
-        ]
-        pairs: dict[tuple[str, str, bool], list[str]] = {}
-        for link in self.links:
-            (source, _, output), (target, _, entry) = link.source.partition("."), link.target.partition(".")
-            units = list(dict.fromkeys(written(u) for u in link.units if u))
-            label = short(output if output == entry else f"{output} → {entry}")
-            label += f" [{' → '.join(units)}]" if units else ""
-            pairs.setdefault((source, target, link.held), []).append(safe(", ".join([label, *link.acting])))
-        for (source, target, held), labels in pairs.items():
-            start, end = ("-. ", " .->") if held else ("-- ", " -->")
-            lines.append(f'  {place[source]} {start}"{"<br/>".join(labels)}"{end} {place[target]}')
-        return "\n".join(lines) + "\n"
 
 
 def graph_of_run(run: Run) -> Graph | None:
@@ -193,7 +160,7 @@ def graph_from(scenario: Mapping[str, Any], order: Sequence[str], held: set[str]
         if about.keys() >= {source.partition(".")[0], target.partition(".")[0]}:
             pair = units.get(source, ""), units.get(target, "")
             links.append(DiagramLink(source, target, pair, acting, target in held | arrays))
-    return Graph(scenario.get("name", ""), about, links, algorithms().get(scenario.get("algorithm", ""), DEFAULT))
+    return Graph(scenario.get("name", ""), about, links)
 
 
 def _width(name: str, unit: str, notes: Sequence[str]) -> float:
