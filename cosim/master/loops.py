@@ -25,7 +25,7 @@ from cosim.blocks.fmu import FmuBlock
 from cosim.core.arrays import Array, Flags
 from cosim.core.errors import SimulationError
 from cosim.core.times import first_point
-from cosim.master.root_finding import Outcome, RootFinding
+from cosim.master.root_finding import RootFinding
 from cosim.scenario.scenario import LoopSettings
 from cosim.system.schedule import Loop
 from cosim.system.wiring import Transfer
@@ -291,7 +291,19 @@ class LoopSolver:
         Raises:
             SimulationError: The iterations do not converge.
         """
-        outcome = self._outcome(self.signals[self.unknowns])
+        z, outcome = self.signals[self.unknowns], None
+        shifts = (z + s * self._roots.scale for k in range(*RETRY_EXPONENTS) for s in (2.0**k, -(2.0**k)))
+        for start in (z, *self._guesses, *shifts):
+            if self.method == "newton":
+                outcome = self._roots.newton(self._sweep, start, self._slopes)
+            else:
+                outcome = self._roots.anderson(self._sweep, start)
+            if outcome is not None:
+                break
+            self._roots.slopes = None
+        if outcome is None:
+            assert self._refusal is not None
+            raise self._refusal
         worst = int(np.argmax(np.abs(outcome.residual) / np.maximum(np.abs(outcome.z), self._roots.scale)))
         value, residual = float(outcome.z[worst]), float(outcome.residual[worst])
         signal, count = self.back[worst].name, outcome.iterations
@@ -309,20 +321,6 @@ class LoopSolver:
             f"more iterations (loops: {{iterations: {5 * self.settings.iterations}}}), or an FMU without direct "
             "feedthrough; a loop of gain 1 has no unique solution",
         )
-
-    def _outcome(self, z: Array) -> Outcome:
-        """Return the end of the iterations from z."""
-        shifts = (z + s * self._roots.scale for k in range(*RETRY_EXPONENTS) for s in (2.0**k, -(2.0**k)))
-        for start in (z, *self._guesses, *shifts):
-            if self.method == "newton":
-                outcome = self._roots.newton(self._sweep, start, self._slopes)
-            else:
-                outcome = self._roots.anderson(self._sweep, start)
-            if outcome is not None:
-                return outcome
-            self._roots.slopes = None
-        assert self._refusal is not None
-        raise self._refusal
 
     def _sweep(self, z: Array) -> Array | None:
         """Return g(z); None if a component refuses its inputs."""

@@ -20,7 +20,6 @@ import errno
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -463,24 +462,16 @@ class Master:
             notes += self.pacer.notes(self.system.start)
             details["pacing"] = self.pacer.record(self.system.start)
         time, table = self.time[: self.done], self.table[: self.done]
-        results = results_of(self.system, time, table, beside, notes, self.loop, details=details)
+        results = results_of(self.system, time, table, beside, self.loop)
+        results = replace(results, notes=tuple(notes), details=details)
         if self.instants is None:
             return results
         counts = {name: dict(sorted(causes.items())) for name, causes in sorted(self.instants.counts.items())}
         return replace(results, events=tuple(self.instants.events), event_counts=counts)
 
 
-def results_of(
-    system: System,
-    time: Array,
-    table: Array,
-    beside: Sequence[Any],
-    notes: Sequence[str] = (),
-    loop: str = "",
-    *,
-    details: Mapping[str, Any] = MappingProxyType({}),
-) -> Results:
+def results_of(system: System, time: Array, table: Array, beside: Sequence[Any], loop: str) -> Results:
     """Return the results of a run from its table of rows."""
     exact = {name: [row[k] for row in beside[: len(time)]] for k, name in enumerate(system.beside)}
     whole = frozenset(c for c in system.columns if system.signals[c].is_whole)
-    return Results(time, system.columns, table, system.units, exact, whole, tuple(notes), loop, details=details)
+    return Results(time, system.columns, table, system.units, exact, whole, loop=loop)

@@ -42,7 +42,6 @@ from cosim.master.checkpoint import NOT_RESTORED
 from cosim.master.extrapolation import Polynomial
 from cosim.master.initialization import is_settled
 from cosim.system.control import Control
-from cosim.system.schedule import Stage
 from cosim.system.wiring import Copies
 
 if TYPE_CHECKING:
@@ -194,15 +193,6 @@ class SavedPoint:
         self.restore_signals()
 
 
-def advance_of(master: Master, stages: Sequence[Stage]) -> Callable[[int, float, float], None]:
-    """Return a function of (point, start [s], end [s]) that makes a step of any length, in C if possible."""
-    try:
-        return CompiledSteps(master, stages).advance
-    except NotCompiled:
-        actives = master.round(stages, 1, nominal=False)
-        return partial(master.advance, actives)
-
-
 class ControlledSteps(Policy):
     """Steps that are controlled by an estimate of their error.
 
@@ -221,7 +211,11 @@ class ControlledSteps(Policy):
         stages = [stage for stage in system.stages if stage.component.name not in control.at_rows]
         self._at_rows = [stage for stage in system.stages if stage.component.name in control.at_rows]
         self._names = [stage.component.name for stage in stages]
-        self._advance = advance_of(master, stages)
+        self._advance: Callable[[int, float, float], None]
+        try:  # steps of any length, in C if possible
+            self._advance = CompiledSteps(master, stages).advance
+        except NotCompiled:
+            self._advance = partial(master.advance, master.round(stages, 1, nominal=False))
         self.fmus = [s.component for s in stages if isinstance(s.component, FmuBlock)]
         held = (t for t in system.held if t.name.partition(".")[0] in self._names)
         received = {t.target: t.source for t in held if not any(t.beside)}

@@ -27,7 +27,6 @@ from cosim.scenario.start_values import STAND_IN, waiting_texts
 MAX_RUN_STEPS = 2e7
 FILE_KEYS = ("fmu", "file", "parameters")  # keys of file names of a component
 SYSTEM = "system"  # folder with scenario and FMUs in the run folder of an SSP
-Place = tuple[str | int, ...]  # keys of a part of the scenario
 LISTS = ("connections", "faults", "events")  # lists from which single faulty entries are removed
 STAND_INS: dict[str, Any] = {"name": "?", "duration": 1.0, "step": 0.1}
 TICKS = 1000  # least ratio of the shortest controlled step to the spacing of doubles at the largest time
@@ -201,13 +200,11 @@ class ScenarioFile:
         if every and not (is_whole(every / s.step) and every <= s.duration * (1.0 + STEP_COUNT_TOLERANCE)):
             message = f"{every:g} s is not a whole number of steps within the run; use for example {s.step:g} s"
             yield ("record", "every"), message
-        for kind, k, goal in s.every_goal:
+        for kind, where, goal in s.every_goal:
             if (kind == "valid") != isinstance(goal, ValidCriterion):
-                where = ("criteria", kind, *(() if k is None else (k,)))
                 of_region = "valid needs a component and its least share of time, as in {of: plant, min: 0.95}"
                 yield where, of_region if kind == "valid" else f"{kind} takes no min; give the largest value as max"
-        for kind, k, criterion in s.goals:
-            where = ("criteria", kind, *(() if k is None else (k,)))
+        for kind, where, criterion in s.goals:
             if (kind == "settling_time") != (criterion.band is not None):
                 yield where, "settling_time, and no other kind, needs a band: the allowed distance from its target"
             start, end = criterion.after, s.duration if criterion.until is None else criterion.until

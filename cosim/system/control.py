@@ -44,16 +44,16 @@ class Control:
     is_per_second: bool
     shortest: float
     longest: float
-    nominal: tuple[float, ...] = ()
-    outputs: tuple[int, ...] = ()
-    bonds: tuple[PowerBond, ...] = ()
-    at_rows: frozenset[str] = frozenset()
-    rolls_back: bool = False
+    nominal: tuple[float, ...]
+    outputs: tuple[int, ...]
+    bonds: tuple[PowerBond, ...]
+    at_rows: frozenset[str]
+    rolls_back: bool
 
 
 def control_of(building: Building, transfers: Sequence[Transfer]) -> Control | None:
     """Return the step control; None for steps of equal length."""
-    scenario, components, layout = building.scenario, building.components, building.layout
+    scenario, components = building.scenario, building.components
     settings = scenario.control
     if not {scenario.extrapolate, scenario.interpolate} <= {None, "hold"}:
         for name, component in components.items():
@@ -81,10 +81,10 @@ def control_of(building: Building, transfers: Sequence[Transfer]) -> Control | N
     if settings.estimator == "halving" and obstacle:
         message = f"estimator: halving is not possible: {obstacle}; remove estimator, or set it to residual"
         building.note(("step", "estimator"), message)
-    owners = [(building.blocks.get(name), variable) for name, _, variable in (c.partition(".") for c in layout.columns)]
-    nominal = [1.0 if owner is None else owner.nominal(variable) for owner, variable in owners]
+    every, ends_of = building.blocks, (column.partition(".") for column in building.columns)
+    nominal = [every[name].nominal(variable) if name in every else 1.0 for name, _, variable in ends_of]
     real = ((name, s.name) for name, block in blocks.items() for s in block.outputs if not (s.local or s.is_whole))
-    outputs = [layout.place[f"{name}.{output}"][1] for name, output in real]
+    outputs = [building.place[f"{name}.{output}"][1] for name, output in real]
     bonds = []
     for k, bond in enumerate(settings.bonds):
         ends: list[tuple[int, int]] = []  # (index of the output, index of the input) of each bond's connections

@@ -47,7 +47,7 @@ def take_signals(part: RecordedPart | None, results: Results) -> Results:
 
 def recorded_part(building: Building) -> RecordedPart | None:
     """Return the recorded part of a run; None for all signals in every row. Faults of the key `record` are added."""
-    scenario, layout, record = building.scenario, building.layout, building.scenario.record
+    scenario, record = building.scenario, building.scenario.record
     place = ("record", "signals") if isinstance(record, Recording) else ("record",)
     for k, pattern in enumerate(scenario.recorded):
         if objection := _objection(building, pattern):
@@ -57,7 +57,7 @@ def recorded_part(building: Building) -> RecordedPart | None:
     steps = 1 if record.every is None else round(record.every / scenario.step)
     columns, beside = (
         tuple(k for k, c in enumerate(names) if record.signals is None or any(_is_meant(p, c) for p in record.signals))
-        for names in (layout.columns, layout.beside)
+        for names in (building.columns, building.beside)
     )
     return RecordedPart(columns, beside, max(1, steps))
 
@@ -70,8 +70,8 @@ def _is_meant(pattern: str, column: str) -> bool:
 
 def _objection(building: Building, pattern: str) -> str | None:
     """Return why a pattern matches no signal, with similar names; None if it matches or its component has a fault."""
-    scenario, components, layout = building.scenario, building.components, building.layout
-    columns, name = [*layout.columns, *layout.beside], pattern.partition(".")[0]
+    scenario, components = building.scenario, building.components
+    columns, name = [*building.columns, *building.beside], pattern.partition(".")[0]
     if any(_is_meant(pattern, column) for column in columns):
         return None
     if "*" not in name and name not in scenario.components:

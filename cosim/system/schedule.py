@@ -16,7 +16,7 @@ from cosim.blocks.sources import SourceBlock
 from cosim.core.messages import CheckNote, Note
 from cosim.core.text import join_names
 from cosim.core.times import steps_in
-from cosim.scenario.scenario_file import Place
+from cosim.scenario.scenario import Place
 from cosim.system.wiring import Building, Components, Transfer
 
 FEEDTHROUGH = "feedthrough"  # key of a component in the scenario

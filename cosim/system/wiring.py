@@ -30,8 +30,9 @@ from cosim.scenario.scenario import (
     FixComponent,
     FmuComponent,
     Noise,
+    Place,
 )
-from cosim.scenario.scenario_file import Place, ScenarioFile
+from cosim.scenario.scenario_file import ScenarioFile
 
 Components = Mapping[str, Component]
 MAX_NAMED_SIGNALS = 20  # signals shown in a message
@@ -39,33 +40,22 @@ MAX_MESSAGE_CHARACTERS = 2000
 PASSING = {"freeze", "dropout", "delay"}  # faults that pass values of any type unchanged
 
 
-@dataclass(frozen=True)
-class RowLayout:
-    """Indices of signals: component after component, inputs before outputs, in the row of doubles or beside the row.
+class Building:
+    """A system under construction. Faults and warnings are collected and reported all at once, faults of form first.
 
     Attributes:
-        columns: Names `component.variable` by index in the row.
+        components: Components without faults by name, in file order.
+        columns: Names `component.variable` by index in the row: component after component, inputs before outputs.
         beside: Names, like `columns`, of values that doubles cannot represent exactly.
         place: Column → (True if beside the row, index in or beside the row).
         signals: Column → signal.
+        describe: Function that returns the model description of an FMU, which several components may use.
     """
 
     columns: tuple[str, ...]
     beside: tuple[str, ...]
     place: Mapping[str, tuple[bool, int]]
     signals: Mapping[str, Signal]
-
-
-class Building:
-    """A system under construction. Faults and warnings are collected and reported all at once, faults of form first.
-
-    Attributes:
-        components: Components without faults by name, in file order.
-        layout: Indices of the components' signals.
-        describe: Function that returns the model description of an FMU, which several components may use.
-    """
-
-    layout: RowLayout
 
     def __init__(self, file: ScenarioFile) -> None:
         self.file, self.scenario, self.components = file, file.scenario, dict[str, Component]()
@@ -88,8 +78,8 @@ class Building:
         for name, component in self.components.items():
             row |= {f"{name}.{s.name}": s for s in (*component.inputs, *component.outputs)}
             beside |= {f"{name}.{s.name}": s for s in (*component.exact_inputs, *component.exact_outputs)}
-        place = {c: (aside, k) for aside, part in ((False, row), (True, beside)) for k, c in enumerate(part)}
-        self.layout = RowLayout(tuple(row), tuple(beside), place, row | beside)
+        self.columns, self.beside, self.signals = tuple(row), tuple(beside), row | beside
+        self.place = {c: (aside, k) for aside, part in ((False, row), (True, beside)) for k, c in enumerate(part)}
 
     @cached_property
     def connected(self) -> dict[str, frozenset[str]]:
@@ -257,7 +247,6 @@ def alias_transfers(building: Building, connections: Sequence[Sequence[Transfer]
     """
     fed = {t.name: (t, k) for k, transfers in enumerate(connections) for t in transfers}
     found: dict[str, Transfer] = {}
-    layout = building.layout
     for owner, block in building.blocks.items():
         for name, others in input_aliases(block.description).items():
             transfer, k = fed.get(f"{owner}.{name}", (None, 0))
@@ -265,9 +254,9 @@ def alias_transfers(building: Building, connections: Sequence[Sequence[Transfer]
                 continue
             for other, is_negative in others.items():
                 full = f"{owner}.{other}"
-                if full not in fed and full in layout.place:
-                    aside, place = layout.place[full]
-                    sign = (-1.0, negative(layout.signals[full].kind, 0.0)) if is_negative else (1.0, 0.0)
+                if full not in fed and full in building.place:
+                    aside, place = building.place[full]
+                    sign = (-1.0, negative(building.signals[full].kind, 0.0)) if is_negative else (1.0, 0.0)
                     sides = transfer.beside[0], aside
                     found[full] = replace(transfer, target=place, name=full, beside=sides, of=transfer.name, sign=sign)
                 elif full in fed and fed[full][1] < k and (is_negative or fed[full][0].origin != transfer.origin):
@@ -277,24 +266,6 @@ def alias_transfers(building: Building, connections: Sequence[Sequence[Transfer]
                         f"and {fed[full][0].origin}; keep one",
                     )
     return tuple(found.values())
-
-
-def _objection(connection: Connection, source: Signal, target: Signal) -> str:
-    """Return why two signals cannot be connected; "" if they can."""
-    ends = f"{connection.source} is {source.kind or 'a number'}, {connection.target} is {target.kind}"
-    if not is_compatible(source.kind, target.kind):
-        return f"types do not agree: {ends}; connect equal types"
-    if source.declared and source.declared == target.declared and source.items != target.items:
-        return (
-            f"enumerations {source.declared} with different items: {connection.source} has "
-            f"{_numbers(source.items)}, {connection.target} has {_numbers(target.items)}"
-        )
-    if connection.conversion is None and source.conversion(target) is None:
-        return (
-            f"unit mismatch: {connection.source} [{source.unit}] to {connection.target} [{target.unit}], as defined by "
-            "their FMUs. To pass the number unchanged, add factor: 1"
-        )
-    return ""
 
 
 def _transfers(
@@ -337,12 +308,19 @@ def _transfers(
 
 def _transfer(building: Building, connection: Connection, source: Signal, target: Signal) -> Transfer:
     """Return the transfer between two signals; raise ValueError if they cannot be connected."""
-    if objection := _objection(connection, source, target):
-        raise ValueError(objection)
     scenario, ends = building.scenario, f"{connection.source} to {connection.target}"
+    if not is_compatible(source.kind, target.kind):
+        kinds = f"{source.kind or 'a number'} and {target.kind}"
+        raise ValueError(f"{ends}: types do not agree, {kinds}; connect equal types")
+    if source.declared and source.declared == target.declared and source.items != target.items:
+        items = f"{_numbers(source.items)}; {_numbers(target.items)}"
+        raise ValueError(f"{ends}: enumerations {source.declared} with different items: {items}; connect equal ones")
+    if connection.conversion is None and source.conversion(target) is None:
+        units = f"{connection.source} [{source.unit}] to {connection.target} [{target.unit}], as defined by their FMUs"
+        raise ValueError(f"unit mismatch: {units}. To pass the number unchanged, add factor: 1")
     owner, _, receiver, _ = connection.ends
     origin, name = f"{owner}.{source.name}", f"{receiver}.{target.name}"
-    (from_beside, at), (to_beside, to) = (building.layout.place[end] for end in (origin, name))
+    (from_beside, at), (to_beside, to) = (building.place[end] for end in (origin, name))
     faults = tuple(f for on in dict.fromkeys((connection.target, name)) for f in scenario.faults if f.on == on)
     if target.kind == "Clock":
         if connection.noise or connection.conversion is not None or any(fault.on == name for fault in faults):

@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 
-from cosim.blocks.coupling import algorithms
 from cosim.core import registry
 from cosim.core.arrays import far_beyond
 from cosim.core.text import amount, counted, displayed, is_difference, join_names, plain, showing
@@ -220,15 +219,12 @@ def trust(run: Run, drawing: Drawing) -> dict[str, Any]:
 
 
 def badges(run: Run, judged: Sequence[Mapping[str, Any]]) -> list[str | tuple[str, str]]:
-    """Return the badges in the page's header: status, criteria, algorithm, noise, seed and warnings."""
+    """Return the badges in the page's header: status, criteria, noise and warnings."""
     met, warnings = sum(criterion["met"] for criterion in judged), run.manifest.get("warnings", ())
-    algorithm, seed = algorithms().get(run.algorithm), run.manifest.get("seed")
     badges = (
         (True, ("failed", "bad") if run.has_failed else ("completed", "good" if judged else "plain")),
         (judged, (f"{met} of {counted(len(judged), 'criterion')} met", "good" if met == len(judged) else "bad")),
-        (run.links, algorithm.title if algorithm else run.algorithm),
         (run.scenario.get("noise") is False, "noise off"),
-        (seed is not None, f"seed {seed}"),
         (warnings, (counted(len(warnings), "warning"), "warn")),
         (run.part("git").get("dirty"), ("uncommitted changes", "warn")),
     )

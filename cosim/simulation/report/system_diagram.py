@@ -81,7 +81,11 @@ class Graph:
         places: tuple[dict[str, tuple[float, float]], dict[str, tuple[float, float]]] = {}, {}  # inputs, outputs
         for number, (name, about) in enumerate(self.about.items(), 1):
             title, sides = f"{number} {_cut(name)}", ports[name]
-            widths = sum(max([0.0, *(_width(*port) for port in side.values())]) for side in sides)
+            widths = 0.0  # of the widest input and the widest output with their notes
+            for own in sides:
+                lines = [CHARACTER_PX * len(f"{port} [{unit}]" if unit else port) for port, unit, _ in own.values()]
+                lines += [SMALL_PX * len(note) for *_, notes in own.values() for note in notes]
+                widths += max(lines, default=0.0)
             width = max(MIN_WIDTH, widths + 40, BOLD_PX * len(title) + 24, SMALL_PX * len(about) + 24)
             box = HEAD + 12 + max(sum(LINE + NOTE * len(notes) for *_, notes in side.values()) for side in sides)
             bottom = max(bottom, top + box + 12)
@@ -161,12 +165,6 @@ def graph_from(scenario: Mapping[str, Any], order: Sequence[str], held: set[str]
             pair = units.get(source, ""), units.get(target, "")
             links.append(DiagramLink(source, target, pair, acting, target in held | arrays))
     return Graph(scenario.get("name", ""), about, links)
-
-
-def _width(name: str, unit: str, notes: Sequence[str]) -> float:
-    """Return the width of a port with its notes [px]."""
-    characters = len(name) + (len(unit) + 3 if unit else 0)
-    return max([CHARACTER_PX * characters, *(SMALL_PX * len(text) for text in notes)])
 
 
 def _text(look: str, x: float, y: float, text: str, unit: str = "") -> str:
