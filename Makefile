@@ -63,7 +63,7 @@ fmus: $(RUNTIME)
 	$(BIN)/cosim build --model hovercraft --design examples/hovercraft/design.yaml --out build
 
 run: fmus
-	$(BIN)/cosim run scenarios/manoeuvre.yaml --figures
+	$(BIN)/cosim run scenarios/manoeuvre.yaml
 
 test: $(TESTING)
 	$(BIN)/python -m pytest -n 3 --dist loadscope --no-loadscope-reorder -m "not thorough"

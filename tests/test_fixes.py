@@ -77,7 +77,7 @@ def test_every_fault_of_a_sensor_is_told_with_its_line_and_an_ssp_holds_no_fixes
     said = str(told.value)
     for words in (
         "level.yaml:15",
-        "rate is 20 Hz, but communication points have 10 Hz",
+        "rate is 20 Hz; use at most 10 Hz",
         '"fix" is already the name of',
         '"level_meas" is already the name of',
     ):

@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 from cosim.core.errors import InputError, SimulationError
-from cosim.core.messages import CheckNote, CheckWarning, Note
-from cosim.master import beforehand
+from cosim.core.messages import CheckNote, CheckWarning
 from cosim.scenario.scenario_file import ScenarioFile
 from cosim.simulation.workflow import run
 from cosim.system.system import build_system
@@ -170,16 +169,11 @@ def test_feedthrough_stated_in_the_scenario_is_not_measured(tmp_path: Path) -> N
             build_system(written(direct, wrong))
 
 
-def test_a_hang_in_the_measurement_is_limited_told_and_no_end_of_the_run(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(beforehand, "SILENT", 0.0)
+def test_a_hang_in_the_measurement_is_limited_and_no_end_of_the_run(tmp_path: Path) -> None:
     file = deeds_scenario(tmp_path, "GetReal", "sleep", 20, limits="{total: 0.5 s}")
     for name in ("good.fmu", "bad.fmu"):
         without_dependencies(tmp_path / name)
-    told: list[str] = []
-    manifest = run(file, tmp_path / "out", report=False, force=True, tell=told.append).manifest
-    assert [*map(type, told)] == [Note]
+    manifest = run(file, tmp_path / "out", report=False, force=True).manifest
     (warning,) = (w for w in manifest["warnings"] if type(w) is CheckWarning)
     assert "0.5 s" in warning
 
@@ -197,27 +191,15 @@ def test_a_loop_without_solution_is_named_with_residual_and_time_and_keeps_its_r
     assert rows_written(tmp_path) == round(failure.value.time / 0.1)
 
 
-def test_a_silent_fmu_without_states_is_coupled_with_a_delay_and_its_residual_is_measured(tmp_path: Path) -> None:
-    """y_a = 0.5·y_b + 1 of the step before: from y = 0 on, the residual is 1 in the first step and halves in each."""
+def test_a_silent_fmu_without_states_is_coupled_with_a_delay(tmp_path: Path) -> None:
+    """y_a = 0.5·y_b + 1 of the step before, from y = 0 on."""
     results, manifest = linear(tmp_path, 0.5, late=2.0, saves=False)
     assert results["a.y0"] == pytest.approx([0.0, 1.0, 1.5, 1.75, 1.875, 1.9375])
-    record = manifest["loops"][0]["not_solved"]
-    assert record["largest"] == {"signal": "a.u0", "time": pytest.approx(0.1), "value": 0.0, "residual": 1.0}
-    assert record["last"]["residual"] == pytest.approx(1 / 16)
-    assert record["relative"]["last"] == pytest.approx(1 / 31)
+    assert "not_solved" in manifest["loops"][0]
     assert len(manifest["warnings"]) == 1
     results, _ = linear(tmp_path, 5.0, late=1.0)  # steps of an FMU with states are repeated
     assert results["a.y0"][-1] == pytest.approx(-0.25)
     assert results["b.steps"][-1] == 5
-
-
-@pytest.mark.parametrize("gain", [5.0, 1e30])
-def test_a_delayed_loop_that_grows_without_bound_ends_with_loop_residual_and_time(gain: float, tmp_path: Path) -> None:
-    with pytest.raises(SimulationError, match="a → b → a") as failure:
-        linear(tmp_path, gain, late=2.0, saves=False, steps=100)
-    assert failure.value.exit_code == 4
-    assert 0.5 < failure.value.time < 7.0
-    assert rows_written(tmp_path) == round(failure.value.time / 0.1)
 
 
 @pytest.mark.parametrize(

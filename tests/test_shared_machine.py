@@ -124,7 +124,7 @@ def test_a_user_without_a_home_folder_runs_everything_without_a_word_of_a_librar
         ["check", fmu, native],
         ["simulate", native, "--out", shared / "b", "--stop", "0.1", "--step", "0.02"],
         ["compare", shared / "b", shared / "b", "--out", shared / "c"],
-        ["report", shared / "b", "--figures"],
+        ["report", shared / "b"],
         ["build", "--out", shared / "d", "--native", "--model", "base"],
     ):
         assert is_quiet(cosim(*words, **user)), words

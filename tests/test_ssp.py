@@ -120,7 +120,7 @@ def test_every_fault_is_told_at_once_with_its_place_and_cure(tmp_path: Path) -> 
         ('type="application/x-ssp-definition" source="resources/x.ssp"', "nested systems in this file"),
         ("", "it has no source"),
         ('source="../../etc/passwd"', "is outside the package"),
-        ('source="http://somewhere/lag.fmu"', "is not in the package"),
+        ('source="http://somewhere/lag.fmu"', "is outside the package"),
         ('source="a%00b"', "is not a file name"),
         ('source="resources/lag.fmu" implementation="ScheduledExecution"', "is not supported"),
         ('source="resources/bad.fmu"', "is not an FMU"),

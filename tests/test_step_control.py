@@ -62,14 +62,14 @@ def test_components_with_a_step_of_their_own_step_at_rows(tmp_path: Path) -> Non
         ("{max: 20 ms}", "step.min"),
         ("{max: 20 ms, min: 1e-16}", "too short"),
         ("{max: 20 ms, min: 1 ms, estimator: guess}", "step.estimator"),
-        ("{max: 20 ms, min: 1 ms, estimator: energy}", "needs bonds"),
+        ("{max: 20 ms, min: 1 ms, estimator: energy}", "energy, and no other, needs bonds"),
         ("{max: 30 ms, min: 1 ms}", "multiple"),
         (
             "{max: 20 ms, min: 1 ms, estimator: residual, bonds: [{effort: wheel.y0, flow: chassis.y0}]}",
-            "not residual",
+            "energy, and no other, needs bonds",
         ),
-        ("{max: 20 ms, min: 1 ms, bonds: [{effort: wheel.y9, flow: chassis.y0}]}", 'no connected output "wheel.y9"'),
-        ("{max: 20 ms, min: 1 ms, bonds: [{effort: wheel.y0, flow: wheel.y0}]}", "the other side of the bond"),
+        ("{max: 20 ms, min: 1 ms, bonds: [{effort: wheel.y9, flow: chassis.y0}]}", 'no output "wheel.y9"'),
+        ("{max: 20 ms, min: 1 ms, bonds: [{effort: wheel.y0, flow: wheel.y0}]}", "connection to wheel"),
     ],
 )
 def test_keys_that_contradict_each_other_are_named(step: str, words: str, tmp_path: Path) -> None:

@@ -13,7 +13,6 @@ import pytest
 
 from cosim.core.version import __version__
 from cosim.files.state_file import pack
-from cosim.master.checkpoint import CHECKPOINT_VERSION
 from tests.warm import cosim
 
 ROWS = "time,a.x [m]\n" + "".join(f"{k / 10},{k / 10 + 0.5}\n" for k in range(11))
@@ -158,8 +157,7 @@ def test_a_command_on_all_results_of_a_stranger_ends_without_harm(sent: Path, wo
 
 
 STATE: dict[str, Any] = {
-    "format": CHECKPOINT_VERSION, "point": 3, "time": 0.3, "rows": "", "components": {}, "links": {}, "changes": [],
-    "elapsed": 1.0,
+    "point": 3, "time": 0.3, "rows": "", "components": {}, "links": {}, "changes": [],
 }  # fmt: skip
 FILES_OF_RUN = f'"cosim_version": "{__version__}", "files": {{"rows": "results.csv", "codes": [], "warnings": []}}'
 

@@ -27,7 +27,7 @@ from cosim.scenario.scenario import FixComponent, FmuComponent, PlaybackComponen
 from cosim.scenario.scenario_file import ScenarioFile
 from cosim.simulation.manifest import check_pinned
 from cosim.simulation.packaged import IMPORTERS
-from cosim.ssp.write import SspConnector, SspFmu, Value, Whole, defined_units, write_ssp
+from cosim.ssp.write import SspConnector, SspFmu, Value, defined_units, write_ssp
 from cosim.system.system import System, build_system
 
 NO_CONVERSION = (1.0, 0.0)  # factor and offset
@@ -99,8 +99,8 @@ def export_ssp(
             ends.append((first, last, linear))
         descriptions = {name: description for name, (_, description) in system.fmus.items()}
         units = defined_units((descriptions.get(m.name), port.unit) for m in models for port in m.ports)
-        stop = s.start_time + s.duration
-        write_ssp(target, Whole(s.name, s.description, models, ends, units, s.start_time, stop, s.step))
+        times = s.start_time, s.start_time + s.duration, s.step
+        write_ssp(target, models, ends, units, times, name=s.name, description=s.description)
     return Exported(target, tuple(_notes(file, () if insert_gains else converted)))
 
 

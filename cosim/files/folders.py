@@ -283,9 +283,12 @@ COMMON_KEY_TYPES: Mapping[str, Any] = {
 FILE_KEY_TYPES: Mapping[str, Mapping[str, Any]] = {
     "manifest.json": {
         **dict.fromkeys(("source", "loop", "no_report"), str),
-        **{key: [str] for key in ("order", "beside", "discrete", "texts", "warnings")},
-        **dict.fromkeys(("items", "versions", "timings"), dict),
-        "scenario": {"name": str, "components": {EACH: dict}},
+        **{key: [str] for key in ("set", "order", "held", "beside", "discrete", "texts", "warnings")},
+        **dict.fromkeys(("versions", "timings", "steps", "pacing"), dict),
+        **{key: {EACH: dict} for key in ("items", "validity", "event_counts")},
+        "git": (dict, NoneType),
+        "loops": [dict],
+        "scenario": {"name": str, "components": {EACH: dict}, "connections": [dict], "faults": [dict]},
         "rows": int,
         "criteria": [CRITERION],
         "units": {EACH: str},

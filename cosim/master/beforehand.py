@@ -12,10 +12,9 @@ inputs of the last row.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from threading import Timer
 from typing import Any
 
 import numpy as np
@@ -25,9 +24,9 @@ from cosim.blocks.coupling import Assumption
 from cosim.blocks.event_mode import EventFmu
 from cosim.blocks.fmu import FmuBlock
 from cosim.core.arrays import far_beyond
-from cosim.core.errors import CosimError, InputError, Interrupted, Signalled, SimulationError, TimedOut
-from cosim.core.messages import CheckWarning, Note
-from cosim.core.text import join_names
+from cosim.core.errors import CosimError, InputError, Interrupted, Signalled, SimulationError
+from cosim.core.messages import CheckWarning
+from cosim.core.text import join_names, some
 from cosim.files.state_file import pack, unpack
 from cosim.isolation import worker as here
 from cosim.isolation.limits import LOADING, Limits
@@ -51,9 +50,7 @@ IRREGULAR = 0.37  # displacement of the second point, in sizes of an input
 OTHERS = -0.37, -0.9, 0.9  # displacements of further points, for a component that refuses the first two
 STEPS_BEYOND_END = 2  # steps beyond the end of the run that saved a state
 MAX_NAMED_PAIRS = 6  # signals of a message
-LONGEST_MEASUREMENT = 20.0  # [s] with the first step, without loading; less with a shorter `limits: total`
-LEAST_FIRST_STEP = 0.1  # [s] that is left for the first step
-SILENT = 2.0  # [s] before a note tells of the measurement
+LONGEST_MEASUREMENT = 20.0  # [s] without loading; less with a shorter `limits: total`
 
 Pair = tuple[str, str]  # output, input
 
@@ -98,7 +95,6 @@ def examine(
     worker: Worker | None,
     limits: Limits,
     *arguments: Any,
-    spent: list[float] | None = None,
 ) -> Any:
     """Open the components of a system, and return the result of an examination.
 
@@ -106,7 +102,6 @@ def examine(
         examination: Function of a master in initialization mode and of `arguments`.
         grid: Number of communication steps, and their length [s].
         worker: Process for the FMUs; None for this one, without limits.
-        spent: [time without loading [s]], to which the examination adds.
 
     Raises:
         FmuError: An FMU does not load.
@@ -115,7 +110,7 @@ def examine(
     if worker is None:
         return _examined(examination, system, grid, None, *arguments)
     calls = [fmi_calls(getattr(stage.component, "description", None)) for stage in system.stages]
-    watch = Watch(system.names, calls, limits=limits, spent=[0.0] if spent is None else spent)
+    watch = Watch(system.names, calls, limits=limits)
     return worker.call(_examined, examination, system, grid, limits, *arguments, watch=watch)
 
 
@@ -267,12 +262,7 @@ def _measure(master: Master, asked: Sequence[tuple[Member, list[int]]]) -> tuple
 # -- plan by measured feedthrough ----------------------------------------------------------------------
 
 
-def with_feedthrough(
-    file: ScenarioFile,
-    system: System,
-    worker: Worker | None,
-    tell: Callable[[str], None] = lambda text: None,
-) -> System:
+def with_feedthrough(file: ScenarioFile, system: System, worker: Worker | None) -> System:
     """Return the system, planned again with measured direct feedthrough if its order assumes that there is none.
 
     The measured inputs are stored as `feedthrough` in the scenario. A loop is solved if its first step succeeds;
@@ -280,79 +270,50 @@ def with_feedthrough(
 
     Args:
         worker: Process for the FMUs; None for this one.
-        tell: Function that shows a note if the measurement takes long.
     """
     undeclared = undeclared_inputs(system) if system.assumed else {}
-    planned, opened = system, list[Loop]()
+    planned, scenario, measured, failure = system, file.scenario, Feedthrough(), ""
     if undeclared:
-        given = file.scenario.limits or Limits()
+        given = scenario.limits or Limits()
         total = min(given.total or LONGEST_MEASUREMENT, LONGEST_MEASUREMENT)
         load = given.load or LOADING + (FMU_COMPILE_LIMIT_S if permission.get() else 0.0)
-        limits, spent = given.model_copy(update={"total": max(total, LEAST_FIRST_STEP), "load": load}), [0.0]
-        note = Note(
-            f"measuring the direct feedthrough of {join_names([*undeclared])}, which these FMUs do not declare "
-            f"(at most {limits.total:g} s)"
-        )
-        timer = Timer(SILENT, tell, (note,))
-        timer.daemon = True
-        timer.start()
+        limits = given.model_copy(update={"total": total, "load": load})
         try:
-            try:
-                measured = examine(measure_feedthrough, system, (1, file.scenario.step), worker, limits, spent=spent)
-            except (Interrupted, Signalled):
-                raise
-            except CosimError as error:
-                reason = str(error)
-                if isinstance(error, TimedOut) and spent[0] > (limits.total or LONGEST_MEASUREMENT):
-                    reason = Note(f"it was stopped after {limits.total:g} s, in {error.component}")
-                measured = Feedthrough(failure=f": {reason}")
-            followed = {n: sorted({i for _, i in measured.pairs if i in inputs}) for n, inputs in undeclared.items()}
-            known = measured.inputs - {entry for _, entry in measured.at_start}
-            declared = {  # components whose inputs are all known, or some of whose outputs react
-                n: [i.partition(".")[2] for i in followed[n]]
-                for n, inputs in undeclared.items()
-                if followed[n] or inputs <= known
-            }
-            failure, scenario = "", file.scenario
-            if declared:
-                components: dict[str, Any] = dict(scenario.components)
-                for name, followed_inputs in declared.items():
-                    components[name] = components[name].model_copy(update={"feedthrough": followed_inputs})
-                file.scenario = scenario.model_copy(update={"components": components})
-                first_step = limits.model_copy(update={"total": max(total - spent[0], LEAST_FIRST_STEP)})
-                try:
-                    planned = build_system(file)
-                    if planned.loops != system.loops:
-                        stepped = simulate_in(worker, planned, 1, scenario.step, first_step)
-                        if isinstance(stepped.failure, (Interrupted, Signalled)):
-                            raise stepped.failure
-                        failure = "" if stepped.failure is None else str(stepped.failure)
-                except InputError as fault:
-                    failure = fault.faults[0].message
-                if failure:
-                    planned, file.scenario = system, scenario
-        finally:
-            timer.cancel()
-        held = {transfer.name for transfer in planned.held}
-        unknown = (frozenset[str]().union(*undeclared.values()) - measured.inputs) & held
-        facts = measured, unknown, failure, held
-        loops = (replace(loop, left_open=_note(system, loop, *facts)) for loop in system.opened)
-        opened = [loop for loop in loops if loop.left_open]
-    names = [loop.name for loop in opened]
-    others = [loop for loop in planned.opened if loop.name not in names]
+            measured = examine(measure_feedthrough, system, (1, scenario.step), worker, limits)
+        except (Interrupted, Signalled):
+            raise
+        except CosimError as error:
+            measured = Feedthrough(failure=f": {error}")
+        known = measured.inputs - {entry for _, entry in measured.at_start}
+        declared = dict[str, Any]()
+        for name, inputs in undeclared.items():
+            followed = sorted({entry for _, entry in measured.pairs if entry in inputs})
+            if followed or inputs <= known:  # some output reacts, or all inputs are known
+                feedthrough = [entry.partition(".")[2] for entry in followed]
+                declared[name] = scenario.components[name].model_copy(update={"feedthrough": feedthrough})
+        file.scenario = scenario.model_copy(update={"components": {**scenario.components, **declared}})
+        try:
+            planned = build_system(file) if declared else system
+            if planned.loops != system.loops:
+                stepped = simulate_in(worker, planned, 1, scenario.step, limits)
+                if isinstance(stepped.failure, (Interrupted, Signalled)):
+                    raise stepped.failure
+                failure = "" if stepped.failure is None else str(stepped.failure)
+        except InputError as fault:
+            failure = fault.faults[0].message
+        if failure:
+            planned, file.scenario = system, scenario
+    held = {transfer.name for transfer in planned.held}
+    unknown = (frozenset[str]().union(*undeclared.values()) - measured.inputs) & held
+    notes = {loop.name: _note(loop, measured, unknown, failure, held) for loop in system.opened if undeclared}
+    opened = [replace(loop, left_open=notes[loop.name]) for loop in system.opened if notes.get(loop.name)]
+    others = [loop for loop in planned.opened if not notes.get(loop.name)]
     warnings = [warning for warning in planned.warnings if not isinstance(warning, Assumption)]
-    notes = [CheckWarning(loop.left_open) for loop in opened]
-    return replace(planned, opened=(*opened, *others), assumed=False, warnings=(*warnings, *notes))
+    warnings += [CheckWarning(loop.left_open) for loop in opened]
+    return replace(planned, opened=(*opened, *others), assumed=False, warnings=tuple(warnings))
 
 
-def _note(
-    system: System,
-    loop: Loop,
-    measured: Feedthrough,
-    unknown: Collection[str],
-    failure: str,
-    held: Collection[str],
-) -> str:
+def _note(loop: Loop, measured: Feedthrough, unknown: Collection[str], failure: str, held: Collection[str]) -> str:
     """Return the warning about a loop that stays open; "" if the measurement shows that there is no loop.
 
     Args:
@@ -361,38 +322,23 @@ def _note(
         held: Inputs with values of the previous step.
     """
 
-    def is_part(name: str) -> bool:
-        return name.partition(".")[0] in loop.members
+    def facts(pairs: Iterable[Pair]) -> str:
+        parts = [f"{output} follows {entry}" for output, entry in pairs if entry.partition(".")[0] in loop.members]
+        return some(parts, MAX_NAMED_PAIRS)
 
-    def facts(pairs: Sequence[Pair]) -> str:
-        more = f" and {len(pairs) - MAX_NAMED_PAIRS} more" if len(pairs) > MAX_NAMED_PAIRS else ""
-        return ", ".join(f"{output} follows {entry}" for output, entry in pairs[:MAX_NAMED_PAIRS]) + more
-
-    if failure and (pairs := [pair for pair in measured.pairs if is_part(pair[1])]):
+    if failure and (directly := facts(measured.pairs)):
         return (
-            f"{loop.name} is an algebraic loop that no FMU declares: measured before the run, {facts(pairs)}. The loop "
-            f"is not solved, and some inputs have the values of the previous step, because solving it fails: {failure}"
+            f"{loop.name} is an algebraic loop that no FMU declares: measured before the run, {directly}. The loop is "
+            f"not solved, and some inputs have the values of the previous step, because solving it fails: {failure}"
         )
-    if pairs := [pair for pair in measured.at_start if is_part(pair[1]) and pair[1] in held]:
-        members = [stage.component for stage in system.stages if stage.component.name in loop.members]
-        is_real = all(not any(t.beside) and not system.signals[t.name].is_whole for t in loop.transfers)
-        can_repeat = is_real and all(
-            isinstance(m, FmuBlock) and not isinstance(m, EventFmu) and m.rolls_back for m in members
-        )
-        cure = (
-            Note("to solve it by repeated steps, add loops: {}")
-            if can_repeat
-            else Note(
-                "to solve it, use FMUs that save and restore their state; to accept these values without this "
-                "warning, set order: [...]"
-            )
-        )
+    if at_start := facts(pair for pair in measured.at_start if pair[1] in held):
         return (
-            f"{loop.name} may be an algebraic loop that no FMU declares: {facts(pairs)} in initialization, "
-            "but later only after a step. The loop is not solved, so some inputs may have the values of the "
-            f"previous step; {cure}"
+            f"{loop.name} may be an algebraic loop that no FMU declares: {at_start} in initialization, but later only "
+            "after a step. The loop is not solved, so some inputs may have the values of the previous step; to solve "
+            "it by repeated steps, if its FMUs save and restore their state, add loops: {}; to accept these values "
+            "without this warning, set order: [...]"
         )
-    if names := sorted(filter(is_part, unknown)):
+    if names := sorted(name for name in unknown if name.partition(".")[0] in loop.members):
         return (
             f"{loop.name} may be an algebraic loop: direct feedthrough of {join_names(names)} is neither declared "
             f"nor measured{measured.failure}. cosim assumes none. List the inputs with direct feedthrough under "

@@ -143,10 +143,6 @@ class CompiledSteps:
         self._spent_in_python += time.perf_counter() - begin
         plan.place += 1
 
-    def _take_exact(self) -> None:
-        """Copy the values beside the row from C to Python."""
-        self.master.beside[:] = [cell.value(kind) for cell, kind in zip(self._cells, self._types, strict=True)]
-
     def _give_exact(self) -> None:
         """Copy the values beside the row from Python to C."""
         for cell, kind, value in zip(self._cells, self._types, self.master.beside, strict=True):
@@ -261,7 +257,8 @@ class CompiledSteps:
                 if why == StopReason.FINISHED:
                     break
                 if why == StopReason.PAUSED:
-                    self._take_exact()
+                    cells = zip(self._cells, self._types, strict=True)
+                    master.beside[:] = [cell.value(kind) for cell, kind in cells]
                     if plan.next == plan.pause:
                         master.change(plan.pause)
                         self._give_exact()

@@ -32,7 +32,6 @@ if TYPE_CHECKING:
     from cosim.master.master import Master
 
 ROWS_FILE, BESIDE_FILE, STATE_FILE = "rows", "beside", "state"  # files of a run, in one folder
-CHECKPOINT_VERSION = 1  # version of the content of a checkpoint
 HASHED = 1 << 20  # values hashed at a time
 NOT_RESTORED = (
     "its outputs differ after a saved state is restored; use an FMU that restores its state, or one that does not "
@@ -109,7 +108,6 @@ class Keeper:
         asked: [True if the loop must call `look`]; `ending` is true if the caller also requests the end of the run.
         interval: Wall time [s] between two checkpoints; None if a checkpoint is written only when the run is stopped.
         start: Rows and state from which the run continues, if any.
-        elapsed: Wall time [s] of the run before it was stopped.
         repeated: Number of rows whose steps are repeated; 0 if all states are restored.
     """
 
@@ -118,7 +116,6 @@ class Keeper:
     ending: MutableSequence[int]
     interval: float | None = None
     start: Continuation | None = None
-    elapsed: float = 0.0
     repeated: int = 0
     hash: RowsHash = field(default_factory=RowsHash)
     is_over: threading.Event = field(default_factory=threading.Event)
@@ -137,7 +134,7 @@ class Keeper:
                 self.repeated = self.start.count
             else:
                 self._restore(master, self.start)
-        self._begin = self._last = time.monotonic()
+        self._last = time.monotonic()
         if self.interval is not None:
             threading.Thread(target=self._tick, args=(self.interval,), daemon=True).start()
 
@@ -178,7 +175,7 @@ class Keeper:
         master.values[:] = start.values[last]
         if start.exact:
             master.beside[:] = start.exact[last]
-        master.row_count[0], self.elapsed = start.count, float(state.get("elapsed", 0.0))
+        master.row_count[0] = start.count
 
     def look(self, master: Master, k: int) -> None:
         """Write a checkpoint after point k if it is due; raise Interrupted if the caller requests an end."""
@@ -206,14 +203,12 @@ class Keeper:
         for name in (ROWS_FILE, BESIDE_FILE):
             sync(self.place / name)
         content = {
-            "format": CHECKPOINT_VERSION,
             "point": k,
             "time": float(master.time[k]),
             "rows": self.hash.of(master.table, read_exact(self.place / BESIDE_FILE, k + 1), k + 1),
             "components": components,
             "links": links,
             "changes": [[c.point, c.values] for c in changes],
-            "elapsed": self.elapsed + time.monotonic() - self._begin,
         }
         here.hold_if_abandoned()
         write_durable(self.place / STATE_FILE, pack(content))

@@ -29,11 +29,11 @@ from cosim.blocks.model_exchange import CHATTERING_SHARE, MOST_EVENTS, ModelExch
 from cosim.blocks.sources import SourceBlock
 from cosim.core.errors import SimulationError
 from cosim.core.times import TIME_TOLERANCE_SHARE, TIME_TOLERANCE_ULPS
-from cosim.master.copying import Copies
 from cosim.master.initialization import EXACT_SWEEPS, is_settled
 from cosim.master.policies import Policy
 from cosim.system.events import is_exchange, takes_part_of_step
 from cosim.system.schedule import Stage
+from cosim.system.wiring import Copies
 
 if TYPE_CHECKING:
     from cosim.master.master import Master

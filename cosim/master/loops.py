@@ -7,13 +7,11 @@ of g is a product of the components' Jacobians, which are directional derivative
 At a communication point, the components have stepped with the inputs of the previous point. Their outputs for other
 inputs are then computed without a step. If outputs of an FMU react only after a step, each trial repeats the step from
 the saved state, so that the trial input acts during the whole step. If the FMU cannot save its state, the loop is not
-solved, but coupled with a delay (`DelayedLoop`).
+solved, but coupled with a delay: each step uses the inputs of its start.
 """
 
 from __future__ import annotations
 
-import math
-from array import array
 from collections.abc import Sequence
 from contextlib import suppress
 from functools import partial
@@ -25,9 +23,9 @@ from cosim.blocks.component import ADVANCE, GET, PUT, EarlyEnd
 from cosim.blocks.coupling import torn
 from cosim.blocks.fmu import FmuBlock
 from cosim.core.arrays import Array, Flags
-from cosim.core.errors import NotFinite, SimulationError
+from cosim.core.errors import SimulationError
 from cosim.core.times import first_point
-from cosim.master.root_finding import ROUNDING_RESIDUAL, Outcome, RootFinding
+from cosim.master.root_finding import RootFinding
 from cosim.scenario.scenario import LoopSettings
 from cosim.system.schedule import Loop
 from cosim.system.wiring import Transfer
@@ -39,67 +37,8 @@ SHIFT = 1e-5  # change of an input for differences, relative to its magnitude
 PROBES = (1e-3, -1e-3, 0.5, -0.5)  # relative changes of an input, to test whether an output depends on it
 MOST_ITEMS = 4  # tried items of an enumeration
 REACTION = 1e-9  # smallest relative change of an output that counts
-PROPOSED = 1e-8  # tolerance that a message proposes for a smaller one
-UNIT_GAIN = 1e-8  # smallest singular value of I − ∂g/∂z that counts
-UNIT_GAIN_POINTS = 0.0, 1.0, -0.37  # displacements in magnitudes of the unknowns
 RETRY_EXPONENTS = -3, 5  # exponents of 2 of other first points, where a component refuses the inputs
 MOST_DIFFERENCES = 50  # inputs of a loop without derivatives, beyond which Newton's method costs too much
-
-RESIDUAL_DOUBLINGS = 12  # of the residual, for the judgement whether it grows without bound
-MAX_HALVES_RATIO = 1.5  # ratio of the steps that the second and the first half of these doublings take
-DIVERGED_RESIDUAL = 1e9  # residual in nominal values from which on such growth ends a run
-
-
-class DelayedLoop:
-    """Residuals of a loop that is coupled with a delay, not solved, at the end of each step.
-
-    A component whose outputs react only after a step, and which cannot save its state, makes each step with the inputs
-    z of the step's start. At the end of the step, the loop gives g(z). While signals change, the residual g(z) − z is
-    proportional to the step. With a loop gain G, it is multiplied by G in each step, so that the coupling diverges for
-    |G| > 1.
-
-    Exponential growth differs from other growth by the number of steps in which the residual doubles: this number is
-    constant. It increases for polynomial growth, and for values that settle.
-
-    Args:
-        reason: Why the loop is not solved.
-        places: Indices of the delayed inputs in the row; further arguments are their names and nominal values.
-    """
-
-    def __init__(self, reason: str, places: Sequence[int], names: Sequence[str], nominal: Sequence[float]) -> None:
-        self.reason, self.places, self._names, self._nominal = reason, places, names, np.array(nominal)
-        self._shares = array("d")  # residual of each step, relative to its signal
-        self._largest = 0.0  # largest residual so far, in nominal values
-        self.worst: dict[str, Any] = {}
-        self.last: dict[str, Any] = {}
-        self._doublings: list[tuple[int, float]] = []  # step and size of the residual at each doubling
-
-    def note(self, t: float, assumed: Array, returned: Array) -> bool:
-        """Record a residual; return True if it grows without bound."""
-        residual = returned - assumed
-        sizes = np.abs(residual) / self._nominal
-        worst = int(np.argmax(sizes))
-        size, value, change = (float(each[worst]) for each in (sizes, assumed, residual))
-        self.last = {"signal": self._names[worst], "time": t, "value": value, "residual": change}
-        if not self.worst or size > self._largest:
-            self._largest, self.worst = size, self.last
-        self._shares.append(abs(change) / max(abs(value), abs(value + change)) if change else 0.0)
-        if size <= 0.0 or (self._doublings and size < 2.0 * self._doublings[-1][1]):
-            return False
-        self._doublings.append((len(self._shares), size))
-        steps = [step for step, _ in self._doublings[-RESIDUAL_DOUBLINGS - 1 :]]
-        if size < DIVERGED_RESIDUAL or len(steps) <= RESIDUAL_DOUBLINGS:
-            return False
-        middle = steps[RESIDUAL_DOUBLINGS // 2]
-        return steps[-1] - middle <= MAX_HALVES_RATIO * (middle - steps[0])
-
-    def record(self) -> dict[str, Any]:
-        """Return the entry of the loop in the manifest."""
-        if not self._shares:
-            return {"reason": self.reason}
-        shares = np.frombuffer(self._shares)
-        relative = {"median": float(np.median(shares)), "last": float(shares[-1])}
-        return {"reason": self.reason, "largest": self.worst, "last": self.last, "relative": relative}
 
 
 class Member:
@@ -108,7 +47,6 @@ class Member:
     Attributes:
         nominal: Input → nominal value; 1 for an input that is not in `declared`.
         repeats: True if outputs react to inputs only after a step, which is therefore repeated.
-        late: Reason why inputs act only in the next step; "" if they act at once.
         reacts: True where an output (row) reacted to an input (column) during initialization.
         promised: True if the last Jacobian consisted of directional derivatives of the FMU.
     """
@@ -127,7 +65,7 @@ class Member:
                 self.nominal[k] = nominal
                 self.declared.add(k)
         self.changes_by_events = getattr(component, "changes_by_events", False)
-        self.repeats, self.promised, self.late = False, False, ""
+        self.repeats, self.promised = False, False
         self.reacts = np.zeros((len(outputs), len(inputs)), bool)
         self._state: Any = None
         self._is_stepped = True
@@ -243,8 +181,7 @@ class LoopSolver:
         self._iterations: list[int] = []
         self._guesses: list[Array] = []
         self._refusal: SimulationError | None = None
-        self._delayed: DelayedLoop | None = None  # used if the loop is not solved
-        self._is_warned = False  # True if a warning about the delay was given before the first step
+        self._unsolved: list[str] = []  # reasons why the loop is not solved
 
     # -- solutions ----------------------------------------------------------------------------------
 
@@ -274,56 +211,33 @@ class LoopSolver:
         Raises:
             SimulationError: Steps of a component must be repeated, but the component does not support this.
         """
-        z = self.signals[self.unknowns]
-        slopes = self._roots.slopes if self._roots.slopes is not None else self._slopes(z, z, fresh=False)
-        is_finite = np.isfinite(slopes).all()
-        gain = float(np.max(np.abs(np.linalg.eigvals(slopes)), initial=0.0)) if is_finite else math.inf
+        if self._roots.slopes is None:  # the method depends on which FMUs have directional derivatives
+            z = self.signals[self.unknowns]
+            self._slopes(z, z, fresh=False)
         self._roots.slopes = None
-        members = [m for m in self.members if m.inputs and not m.changes_by_events]
-        warnings = [warning for member in members for warning in self._find_repeats(member, gain)]
-        if late := [member for member in self.members if member.late]:
-            nominal = dict(sorted((place, size) for member in late for place, size in member.nominal.items()))
-            names = [self._columns[place] for place in nominal]
-            reason = "; ".join(member.late for member in late)
-            self._delayed = DelayedLoop(reason, [*nominal], names, [*nominal.values()])
-        return warnings
+        for member in self.members:
+            if member.inputs and not member.changes_by_events:
+                self._find_repeats(member)
+        return [
+            f"the algebraic loop {self.name} is not solved: {reason}. Each step uses the inputs of its start; a "
+            "shorter step may reduce the error"
+            for reason in self._unsolved
+        ]
 
     def step(self, t: float, h: float) -> None:
         """Step the components from t to t + h [s], and solve the loop at the end.
 
         Raises:
-            SimulationError: A component failed, the iterations do not converge, or values grow without bound.
+            SimulationError: A component failed, or the iterations do not converge.
         """
         self._point = first_point(t + h, self.start, self._h)
-        delayed = self._delayed
-        assumed = None if delayed is None else self.signals[delayed.places]
-        try:
-            for member in self.members:
-                member.begin_step(t, h)
-            self._set_late(repeats=False)
-            self._iterations.append(self._solve(t + h))
-            for member in self.members:
-                member.end_step()
-            self._set_late(repeats=True)
-        except NotFinite as error:
-            if delayed is None or not delayed.last:
-                raise
-            last = delayed.last
-            message = (
-                f"{error.reason}. {self.name} is an algebraic loop that is not solved: {delayed.reason}. At "
-                f"t = {last['time']:.6g} s, {last['signal']} was {last['value']:.3g} with the residual "
-                f"{last['residual']:+.3g}"
-            )
-            raise SimulationError(error.component, error.time, message) from None
-        if delayed is not None and assumed is not None and delayed.note(t + h, assumed, self.signals[delayed.places]):
-            last = delayed.last
-            message = (
-                f"{self.name} is not solved ({delayed.reason}) and grows without bound: {last['signal']} is "
-                f"{last['value']:.3g} in the last step, and its residual {last['residual']:+.3g} doubles in equal "
-                "times. Use an FMU that saves and restores its state, one without direct feedthrough, or a shorter "
-                "step. order: [...] runs the loop without this check"
-            )
-            raise SimulationError("algebraic loop", t + h, message)
+        for member in self.members:
+            member.begin_step(t, h)
+        self._set_late(repeats=False)
+        self._iterations.append(self._solve(t + h))
+        for member in self.members:
+            member.end_step()
+        self._set_late(repeats=True)
 
     def _set_late(self, *, repeats: bool) -> None:
         """Copy known values at the end of a step; for components with repeated steps, after the last repetition."""
@@ -344,32 +258,22 @@ class LoopSolver:
                 m.component.name: "directional" if m.promised else "differences" for m in self.members if m.inputs
             },
             "repeated": [m.component.name for m in self.members if m.repeats],
-            "slopes_computed": self._roots.computed,
             "iterations": {"start": self._at_start, "most": max(counts, default=0), "total": sum(counts)},
             "points": len(counts),
-            **({} if self._delayed is None else {"not_solved": self._delayed.record()}),
+            **({"not_solved": {"reason": "; ".join(self._unsolved)}} if self._unsolved else {}),
         }
 
     def notes(self) -> list[str]:
-        """Return warnings about an unsolved loop and about inexact solutions."""
-        notes: list[str] = []
-        if self._delayed is not None and self._delayed.worst and not self._is_warned:
-            worst, relative = self._delayed.worst, self._delayed.record()["relative"]
-            notes.append(
-                f"the algebraic loop {self.name} is not solved: {self._delayed.reason}. Inputs have the values of the "
-                f"start of each step. The residual at its end, relative to the signal, is {relative['median']:.2g} in "
-                f"the median and {relative['last']:.2g} at the last point; the largest is {worst['residual']:+.3g} of "
-                f"{worst['signal']} at t = {worst['time']:.6g} s. A shorter step may reduce it"
-            )
-        if self._rough:
-            t, residual, value, signal = self._rough[0]
-            notes.append(
-                f"the algebraic loop {self.name} is not solved to the relative tolerance "
-                f"{self.settings.tolerance:g} at {len(self._rough)} points: first at t = {t:.6g} s, where {signal} is "
-                f"{value:.3g} with a residual of ±{abs(residual):.2g} that no iteration reduces. Declare the size of "
-                "this input as its nominal value in the FMU"
-            )
-        return notes
+        """Return a warning about inexact solutions."""
+        if not self._rough:
+            return []
+        t, residual, value, signal = self._rough[0]
+        return [
+            f"the algebraic loop {self.name} is not solved to the relative tolerance {self.settings.tolerance:g} at "
+            f"{len(self._rough)} points: first at t = {t:.6g} s, where {signal} is {value:.3g} with a residual of "
+            f"±{abs(residual):.2g} that no iteration reduces. Declare the size of this input as its nominal value in "
+            "the FMU"
+        ]
 
     @property
     def method(self) -> str:
@@ -387,53 +291,7 @@ class LoopSolver:
         Raises:
             SimulationError: The iterations do not converge.
         """
-        start, roots, tolerance = self.signals[self.unknowns], self._roots, self.settings.tolerance
-        outcome = self._outcome(start)
-        worst = int(np.argmax(np.abs(outcome.residual) / np.maximum(np.abs(outcome.z), roots.scale)))
-        value, residual = float(outcome.z[worst]), float(outcome.residual[worst])
-        signal, count = self.back[worst].name, outcome.iterations
-        if outcome.converged:
-            self.signals[self.unknowns] = outcome.z
-            if outcome.is_rough:
-                self._rough.append((t, residual, value, signal))
-            return count
-        signals = ", ".join(t.name for t in self._transfers)
-        if self._has_unit_gain(start):
-            message = (
-                f"{self.name} has no solution, or no unique one: its gain is 1, so {signal} has the residual "
-                f"{residual:+.3g} whatever its value. Signals of the loop: {signals}. Start values, tolerance, order "
-                "and algorithm do not help; change a parameter of an FMU, or put an FMU without direct feedthrough "
-                "into the loop"
-            )
-        else:
-            more = ""
-            if abs(residual) <= ROUNDING_RESIDUAL * max(abs(value), roots.scale[worst]) and tolerance < PROPOSED:
-                more = f", or a larger tolerance: this residual is rounding (loops: {{tolerance: {PROPOSED:g}}})"
-            elif count >= self.settings.iterations:  # with fewer, no step leads nearer
-                more = f", or more iterations (loops: {{iterations: {5 * self.settings.iterations}}})"
-            message = (
-                f"{self.name} does not converge: after {count} iterations {signal} is {value:.6g} with the "
-                f"residual {residual:+.3g} (relative tolerance {tolerance:g}). Signals of the loop: {signals}. Use "
-                f"start values near the solution{more}; order: [...] and algorithm: jacobi do not solve it"
-            )
-        raise SimulationError("algebraic loop", t, message)
-
-    def _has_unit_gain(self, z: Array) -> bool:
-        """Return True if I − ∂g/∂z is singular at several points around z, so that no solution is unique."""
-        if z.size > MOST_DIFFERENCES:
-            return False
-        for share in UNIT_GAIN_POINTS:
-            at = z + share * np.maximum(np.abs(z), self._roots.scale)
-            g = self._sweep(at)
-            if g is None:
-                return False
-            slopes = self._slopes(at, g, fresh=False)
-            if not np.isfinite(slopes).all() or np.linalg.svd(np.eye(z.size) - slopes)[1][-1] > UNIT_GAIN:
-                return False
-        return True
-
-    def _outcome(self, z: Array) -> Outcome:
-        """Return the end of the iterations from z."""
+        z, outcome = self.signals[self.unknowns], None
         shifts = (z + s * self._roots.scale for k in range(*RETRY_EXPONENTS) for s in (2.0**k, -(2.0**k)))
         for start in (z, *self._guesses, *shifts):
             if self.method == "newton":
@@ -441,10 +299,28 @@ class LoopSolver:
             else:
                 outcome = self._roots.anderson(self._sweep, start)
             if outcome is not None:
-                return outcome
+                break
             self._roots.slopes = None
-        assert self._refusal is not None
-        raise self._refusal
+        if outcome is None:
+            assert self._refusal is not None
+            raise self._refusal
+        worst = int(np.argmax(np.abs(outcome.residual) / np.maximum(np.abs(outcome.z), self._roots.scale)))
+        value, residual = float(outcome.z[worst]), float(outcome.residual[worst])
+        signal, count = self.back[worst].name, outcome.iterations
+        if outcome.converged:
+            self.signals[self.unknowns] = outcome.z
+            if outcome.is_rough:
+                self._rough.append((t, residual, value, signal))
+            return count
+        raise SimulationError(
+            "algebraic loop",
+            t,
+            f"{self.name} does not converge: after {count} iterations {signal} is {value:.6g} with the residual "
+            f"{residual:+.3g} (relative tolerance {self.settings.tolerance:g}). Signals of the loop: "
+            f"{', '.join(t.name for t in self._transfers)}. Use start values near the solution, a larger tolerance or "
+            f"more iterations (loops: {{iterations: {5 * self.settings.iterations}}}), or an FMU without direct "
+            "feedthrough; a loop of gain 1 has no unique solution",
+        )
 
     def _sweep(self, z: Array) -> Array | None:
         """Return g(z); None if a component refuses its inputs."""
@@ -511,45 +387,33 @@ class LoopSolver:
         ahead = function(self._point, value + 1.0)
         return float(ahead - function(self._point, value))  # this call does not change the memory of faults
 
-    def _find_repeats(self, member: Member, gain: float) -> list[str]:
-        """Determine if steps must be repeated, because outputs react to inputs only after a step; return warnings.
-
-        Args:
-            gain: Loop gain during initialization: the largest factor by which a deviation grows around the loop.
-        """
+    def _find_repeats(self, member: Member) -> None:
+        """Determine if steps must be repeated, because outputs react to inputs only after a step."""
         member.evaluate()
         reacts, _ = member.reactions(member.inputs)
         member.evaluate()
-        name, inputs, fmu = member.component.name, member.variables[1], member.component
-        missing = member.reacts & ~reacts
-        is_declared, has_reacted = any(map(fmu.depends_on, inputs)), bool(reacts.any() or member.reacts.any())
-        is_silent = is_declared and not has_reacted
+        name, fmu, missing = member.component.name, member.component, member.reacts & ~reacts
+        is_declared = any(map(fmu.depends_on, member.variables[1]))
+        is_silent = is_declared and not (reacts.any() or member.reacts.any())
         can_repeat = isinstance(fmu, FmuBlock) and fmu.rolls_back
         member.repeats = can_repeat and bool(missing.any() or is_silent)
-        if not (is_declared or has_reacted):
-            member.late = f"{name} neither declares nor shows direct feedthrough"
-            self._is_warned = True
-            return [
-                f"{name} neither declares nor shows direct feedthrough in the algebraic loop {self.name}; its outputs "
-                "are computed by a step with the inputs of the start of the step. If it has direct feedthrough, "
-                f"declare it (components.{name}.feedthrough: [{', '.join(inputs)}])"
-            ]
-        if is_silent and not can_repeat:
-            member.late = f"{name} responds to inputs only after a step and cannot save its state"
+        if not (is_declared or reacts.any() or member.reacts.any()):
+            self._unsolved.append(
+                f"{name} neither declares nor shows direct feedthrough; if it has, declare it "
+                f"(components.{name}.feedthrough: [{', '.join(member.variables[1])}])"
+            )
+        elif is_silent and not can_repeat:
+            self._unsolved.append(f"{name} responds to inputs only after a step and cannot save its state")
         elif missing.any() and not can_repeat:
             j, k = (int(each[0]) for each in np.nonzero(missing))
-            cure = "no cure: with values of the previous step, the signals grow"
-            more = ". The loop needs an FMU that saves and restores its state, or one without direct feedthrough"
-            if gain < 1.0:
-                cure, more = "a cure: the loop then uses values of the previous step, and its signals settle", ""
             raise SimulationError(
                 name,
                 self.start,
                 f"{self._columns[member.outputs[j]]} follows {self._columns[member.inputs[k]]} only after a step, "
                 f"which cannot be repeated, because the FMU saves no state; so the algebraic loop {self.name} cannot "
-                f"be solved. order: [...] or algorithm: jacobi is {cure} (the loop gain is {gain:.3g}){more}",
+                "be solved. Use an FMU that saves and restores its state, or values of the previous step (order: "
+                "[...] or algorithm: jacobi), with which the signals settle if the loop gain is below 1",
             )
-        return []
 
 
 def is_lost(component: Any) -> bool:

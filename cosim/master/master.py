@@ -20,7 +20,6 @@ import errno
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -38,7 +37,6 @@ from cosim.files.results import Results
 from cosim.isolation.rows import CALLS, OTHER, Rows
 from cosim.master.c_loop import CompiledSteps
 from cosim.master.checkpoint import Keeper
-from cosim.master.copying import Copying
 from cosim.master.extrapolation import CourseStep, read_again
 from cosim.master.initialization import Initialization
 from cosim.master.instants import Instants
@@ -57,6 +55,7 @@ from cosim.master.policies import (
 from cosim.system.control import rollback_obstacle
 from cosim.system.schedule import Stage, batches
 from cosim.system.system import System
+from cosim.system.wiring import Copying
 
 Progress = Callable[[int], None]  # receives the current communication point
 PROGRESS_EVERY_STEPS = 50
@@ -155,7 +154,7 @@ class Master:
             if isinstance(stage.component, FmuBlock):
                 points = [k for k, changes in system.events.items() if stage.component.name in changes]
                 stage.component.await_inputs([float(self.time[k]) for k in points if k], always=bool(stage.late))
-        self.copying = Copying(system, self.row, self.beside, steps, h)
+        self.copying = Copying(self.row, self.beside, (system.seed, system.start, h, steps + 1))
         self.solvers = [LoopSolver(loop, self) for loop in system.loops]
 
     # -- call sequence -----------------------------------------------------------------------------
@@ -383,7 +382,7 @@ class Master:
                 in_threads = [self._steps_in_threads(stage) for stage in batch]
                 if sum(in_threads) > 1 and cores() > 1 and all(stage.every == 1 for stage in batch):
                     self.together.append(together := Together(some, in_threads))
-                    some = [together.active()]
+                    some = [Active(together.copy, together, late=together.late)]
                 actives += some
             closing = [active for name, active in self.closing.items() if name in due]
             self._rounds[key] = (*actives, *closing, Active(copies, lambda t, h: None))
@@ -463,24 +462,16 @@ class Master:
             notes += self.pacer.notes(self.system.start)
             details["pacing"] = self.pacer.record(self.system.start)
         time, table = self.time[: self.done], self.table[: self.done]
-        results = results_of(self.system, time, table, beside, notes, self.loop, details=details)
+        results = results_of(self.system, time, table, beside, self.loop)
+        results = replace(results, notes=tuple(notes), details=details)
         if self.instants is None:
             return results
         counts = {name: dict(sorted(causes.items())) for name, causes in sorted(self.instants.counts.items())}
         return replace(results, events=tuple(self.instants.events), event_counts=counts)
 
 
-def results_of(
-    system: System,
-    time: Array,
-    table: Array,
-    beside: Sequence[Any],
-    notes: Sequence[str] = (),
-    loop: str = "",
-    *,
-    details: Mapping[str, Any] = MappingProxyType({}),
-) -> Results:
+def results_of(system: System, time: Array, table: Array, beside: Sequence[Any], loop: str) -> Results:
     """Return the results of a run from its table of rows."""
     exact = {name: [row[k] for row in beside[: len(time)]] for k, name in enumerate(system.beside)}
     whole = frozenset(c for c in system.columns if system.signals[c].is_whole)
-    return Results(time, system.columns, table, system.units, exact, whole, tuple(notes), loop, details=details)
+    return Results(time, system.columns, table, system.units, exact, whole, loop=loop)

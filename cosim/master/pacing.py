@@ -104,13 +104,10 @@ class Pacer:
         if not count:
             return ()
         worst = f"at worst {1e3 * overruns['worst']:.3g} ms at t = {overruns['at']:.6g} s"
-        points = f"{count} of {record['points']} communication points were more than a step"
-        if (end := record["behind_at_end"]) > self.length:
-            return (
-                f"the pace {self.pace:g} is not kept: {points} late, {worst}, and {1e3 * end:.3g} ms at the end; the "
-                "run continued as fast as it could",
-            )
-        return (f"{points} behind the pace {self.pace:g}, {worst}; the run caught up",)
+        return (
+            f"{count} of {record['points']} communication points were more than a step behind the pace {self.pace:g}, "
+            f"{worst}, and {1e3 * max(0.0, record['behind_at_end']):.3g} ms at the end",
+        )
 
 
 def _rounded(value: Any) -> float:

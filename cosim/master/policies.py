@@ -39,11 +39,10 @@ from cosim.core.errors import CosimError, SimulationError
 from cosim.core.times import STEP_COUNT_TOLERANCE
 from cosim.master.c_loop import CompiledSteps
 from cosim.master.checkpoint import NOT_RESTORED
-from cosim.master.copying import Copies
 from cosim.master.extrapolation import Polynomial
 from cosim.master.initialization import is_settled
 from cosim.system.control import Control
-from cosim.system.schedule import Stage
+from cosim.system.wiring import Copies
 
 if TYPE_CHECKING:
     from cosim.master.master import Master
@@ -91,19 +90,16 @@ class Together:
         self._least = [math.inf if each else 0.0 for each in in_threads]  # shortest time [s] among the first steps
         self._others: list[int] = []  # steps that run in other threads than the caller's
 
-    def active(self) -> Active:
-        """Return all these steps as a single one, with the copies before and after them."""
-        copies, lates = [a.copy for a in self._actives], [a.late for a in self._actives if a.late is not None]
+    def copy(self, k: int) -> None:
+        """Make the copies before all steps."""
+        for active in self._actives:
+            active.copy(k)
 
-        def copy(k: int) -> None:
-            for each in copies:
-                each(k)
-
-        def late(k: int) -> None:
-            for each in lates:
-                each(k)
-
-        return Active(copy, self, late=late if lates else None)
+    def late(self, k: int) -> None:
+        """Set the known values of a point after all steps."""
+        for active in self._actives:
+            if active.late is not None:
+                active.late(k)
 
     def __call__(self, t: float, h: float) -> None:
         """Step all components by h [s]; raise the error of the first one that fails."""
@@ -197,15 +193,6 @@ class SavedPoint:
         self.restore_signals()
 
 
-def advance_of(master: Master, stages: Sequence[Stage]) -> Callable[[int, float, float], None]:
-    """Return a function of (point, start [s], end [s]) that makes a step of any length, in C if possible."""
-    try:
-        return CompiledSteps(master, stages).advance
-    except NotCompiled:
-        actives = master.round(stages, 1, nominal=False)
-        return partial(master.advance, actives)
-
-
 class ControlledSteps(Policy):
     """Steps that are controlled by an estimate of their error.
 
@@ -224,7 +211,11 @@ class ControlledSteps(Policy):
         stages = [stage for stage in system.stages if stage.component.name not in control.at_rows]
         self._at_rows = [stage for stage in system.stages if stage.component.name in control.at_rows]
         self._names = [stage.component.name for stage in stages]
-        self._advance = advance_of(master, stages)
+        self._advance: Callable[[int, float, float], None]
+        try:  # steps of any length, in C if possible
+            self._advance = CompiledSteps(master, stages).advance
+        except NotCompiled:
+            self._advance = partial(master.advance, master.round(stages, 1, nominal=False))
         self.fmus = [s.component for s in stages if isinstance(s.component, FmuBlock)]
         held = (t for t in system.held if t.name.partition(".")[0] in self._names)
         received = {t.target: t.source for t in held if not any(t.beside)}
@@ -269,21 +260,12 @@ class ControlledSteps(Policy):
         notes, control, tolerance = self.master.notes, self.control, self.control.tolerance
         if steps := self.missed or self.failed:
             t, error, signal = steps[0]
-            errors = (
-                f"first at t = {t:.6g} s, {error * tolerance:.2g} of {signal}; the largest is "
-                f"{self.worst * tolerance:.2g}"
+            cure = f"min below {control.shortest:g} s" if self.missed else f"max below {control.longest:g} s"
+            notes.append(
+                f"the error of {len(steps)} steps is above the tolerance {tolerance:g}: first at t = {t:.6g} s, "
+                f"{error * tolerance:.2g} of {signal}; the largest is {self.worst * tolerance:.2g}. Give a {cure}, or "
+                "a larger tolerance"
             )
-            if self.missed:
-                notes.append(
-                    f"the error of {len(steps)} steps is above the tolerance {tolerance:g}, although they are as short "
-                    f"as min allows ({control.shortest:g} s): {errors}. Give a shorter min or a larger tolerance"
-                )
-            else:
-                notes.append(
-                    f"the error of {len(steps)} steps is above the tolerance {tolerance:g}: {errors}. estimator: "
-                    f"{control.estimator} cannot repeat them; give a max below {control.longest:g} s or a larger "
-                    "tolerance"
-                )
         allowed = tolerance * np.array(control.nominal)
         if (small := np.flatnonzero((self.largest > 0.0) & (allowed > MUCH * self.largest))).size:
             names = ", ".join(self.master.system.columns[k] for k in small[:MOST_NAMED])
@@ -309,12 +291,9 @@ class ControlledSteps(Policy):
         return {
             "estimator": self.control.estimator,
             "tolerance": tolerance,
-            "per": "second" if self.control.is_per_second else "step",
-            "order": self.p,
             "accepted": len(self.sizes),
             "rejected": self.rejected,
             "communication_points": self.made,
-            "above_tolerance": len(self.failed),
             "missed": missed,
             "largest_error": self.worst * tolerance,
             "is_met": not self.failed,

@@ -162,7 +162,7 @@ def simulate_in(
         if last is not None:
             time[done - 1] = last
         loop = counters.loop.decode("utf-8", "ignore")
-        results = replace(results_of(system, time, values, beside, loop=loop), **ended)
+        results = replace(results_of(system, time, values, beside, loop), **ended)
         results = take_signals(recording, results)
         del values  # its file is removed below
     component_times = {} if times is None else times.record()

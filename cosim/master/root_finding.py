@@ -54,7 +54,6 @@ class RootFinding:
         scale: Smallest magnitude of each unknown for relative tolerances.
         is_assumed: For each unknown, True if its `scale` is assumed, not declared; by default all are declared.
         slopes: Last computed ∂g/∂z.
-        computed: Number of computations of the slopes.
         largest: Largest magnitude of all signals so far, which determines the residual due to rounding.
     """
 
@@ -63,7 +62,6 @@ class RootFinding:
     scale: Array
     is_assumed: Flags | bool = False
     slopes: Array | None = None
-    computed: int = 0
     largest: float = 0.0
     _solved: Array | float = 0.0  # largest magnitude of each unknown in a solution
 
@@ -93,7 +91,6 @@ class RootFinding:
                 break
             if self.slopes is None:
                 self.slopes, is_current = slopes(z, value, fresh=failures > 0), True
-                self.computed += 1
                 if size <= self.tolerance:
                     g(z)  # after differences, evaluate g at z again
             matrix = np.eye(z.size) - self.slopes

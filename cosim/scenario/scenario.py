@@ -27,6 +27,7 @@ from cosim.isolation.limits import Limits
 
 Course = Literal["hold", "linear", "quadratic"]
 COURSES: tuple[Course, ...] = ("hold", "linear", "quadratic")  # index: polynomial degree
+Place = tuple[str | int, ...]  # keys of a part of the scenario
 LARGEST_NUMBER = 1e308  # approximate limit of doubles; FMI has no larger integers
 Name = Annotated[str, Field(pattern=r"^[A-Za-z_][A-Za-z0-9_]*$")]
 Variable = Annotated[str, Field(pattern=r"(?s)^[A-Za-z_][A-Za-z0-9_]*\..+$")]
@@ -285,16 +286,6 @@ class Recording(Part):
     every: PositiveSeconds | None = None
 
 
-def _check_record(record: Any) -> Any:
-    """Return the value of `record`; raise ValueError unless it is a list or a mapping."""
-    if not isinstance(record, dict | Recording | list | tuple):
-        raise ValueError(
-            "give a list of signals to record in addition to inputs and outputs, for example [plant.*], or a mapping "
-            "to record less, for example {signals: [plant.x], every: 0.1 s}"
-        )
-    return record
-
-
 class LoopSettings(Part):
     """Solution of algebraic loops at each communication point.
 
@@ -419,7 +410,6 @@ class Scenario(Part):
     record: Annotated[
         Annotated[list[str], Tag("«more»")] | Annotated[Recording, Tag("«part»")],
         Discriminator(lambda record: "«part»" if isinstance(record, dict | Recording) else "«more»"),
-        BeforeValidator(_check_record),
     ] = Field(default_factory=list)
     components: dict[Name, Component] = Field(min_length=1)
     connections: Connections = Field(default_factory=list)
@@ -471,21 +461,24 @@ class Scenario(Part):
         return round(min(self.duration / self.step, 1e18))  # above the limit of any run; infinity has no integer
 
     @property
-    def goals(self) -> list[tuple[str, int | None, Criterion]]:
-        """Return all criteria of signals as (kind, list index, criterion)."""
-        return [(kind, k, c) for kind, k, c in self.every_goal if isinstance(c, Criterion)]
+    def goals(self) -> list[tuple[str, Place, Criterion]]:
+        """Return all criteria of signals as (kind, place in the scenario, criterion)."""
+        return [(kind, at, c) for kind, at, c in self.every_goal if isinstance(c, Criterion)]
 
     @property
-    def valid_goals(self) -> list[tuple[str, int | None, ValidCriterion]]:
-        """Return all criteria of components as (kind, list index, criterion)."""
-        return [(kind, k, c) for kind, k, c in self.every_goal if isinstance(c, ValidCriterion)]
+    def valid_goals(self) -> list[tuple[str, Place, ValidCriterion]]:
+        """Return all criteria of components as (kind, place in the scenario, criterion)."""
+        return [(kind, at, c) for kind, at, c in self.every_goal if isinstance(c, ValidCriterion)]
 
     @property
-    def every_goal(self) -> list[tuple[str, int | None, Criterion | ValidCriterion]]:
-        """Return all criteria as (kind, list index, criterion)."""
-        goals: list[tuple[str, int | None, Criterion | ValidCriterion]] = []
+    def every_goal(self) -> list[tuple[str, Place, Criterion | ValidCriterion]]:
+        """Return all criteria as (kind, place in the scenario, criterion)."""
+        goals: list[tuple[str, Place, Criterion | ValidCriterion]] = []
         for kind, entry in self.criteria.items():
-            goals += [(kind, k, c) for k, c in (enumerate(entry) if isinstance(entry, list) else [(None, entry)])]
+            if isinstance(entry, list):
+                goals += [(kind, ("criteria", kind, k), criterion) for k, criterion in enumerate(entry)]
+            else:
+                goals.append((kind, ("criteria", kind), entry))
         return goals
 
 

@@ -27,7 +27,6 @@ from cosim.scenario.start_values import STAND_IN, waiting_texts
 MAX_RUN_STEPS = 2e7
 FILE_KEYS = ("fmu", "file", "parameters")  # keys of file names of a component
 SYSTEM = "system"  # folder with scenario and FMUs in the run folder of an SSP
-Place = tuple[str | int, ...]  # keys of a part of the scenario
 LISTS = ("connections", "faults", "events")  # lists from which single faulty entries are removed
 STAND_INS: dict[str, Any] = {"name": "?", "duration": 1.0, "step": 0.1}
 TICKS = 1000  # least ratio of the shortest controlled step to the spacing of doubles at the largest time
@@ -197,24 +196,17 @@ class ScenarioFile:
             divisor = s.duration / max(1, math.ceil(count))
             text = f"duration {s.duration:g} s is not a multiple of step {s.step:g} s; use for example step"
             yield where, f"{text} {divisor:.6g} s"
-        if not self.stands_in and isinstance(s.record, Recording) and (every := s.record.every) is not None:
-            steps, where = every / s.step, ("record", "every")
-            if every > s.duration * (1.0 + STEP_COUNT_TOLERANCE):
-                yield where, f"{every:g} s is longer than the run, {s.duration:g} s; use a shorter time"
-            elif not is_whole(steps):
-                near = " or ".join(f"{n * s.step:.6g} s" for n in (math.floor(steps), math.ceil(steps)) if n)
-                yield where, f"{every:g} s is not a whole number of steps of {s.step:g} s; use for example {near}"
-        for kind, k, goal in s.every_goal:
+        every = s.record.every if isinstance(s.record, Recording) and not self.stands_in else None
+        if every and not (is_whole(every / s.step) and every <= s.duration * (1.0 + STEP_COUNT_TOLERANCE)):
+            message = f"{every:g} s is not a whole number of steps within the run; use for example {s.step:g} s"
+            yield ("record", "every"), message
+        for kind, where, goal in s.every_goal:
             if (kind == "valid") != isinstance(goal, ValidCriterion):
-                where = ("criteria", kind, *(() if k is None else (k,)))
                 of_region = "valid needs a component and its least share of time, as in {of: plant, min: 0.95}"
                 yield where, of_region if kind == "valid" else f"{kind} takes no min; give the largest value as max"
-        for kind, k, criterion in s.goals:
-            where = ("criteria", kind, *(() if k is None else (k,)))
-            if kind == "settling_time" and criterion.band is None:
-                yield where, f"{kind} needs a band; add the allowed distance from its target"
-            elif kind != "settling_time" and criterion.band is not None:
-                yield where, f"{kind} has no band; remove it"
+        for kind, where, criterion in s.goals:
+            if (kind == "settling_time") != (criterion.band is not None):
+                yield where, "settling_time, and no other kind, needs a band: the allowed distance from its target"
             start, end = criterion.after, s.duration if criterion.until is None else criterion.until
             is_inside = self.stands_in or (start < end <= s.duration and end - start >= s.step)
             if start < 0 or not is_inside:
@@ -233,10 +225,9 @@ class ScenarioFile:
             yield ("step", key), f"{times}; min must not exceed max, and max must not exceed rows"
         if control.min < least:
             yield ("step", "min"), f"min is {control.min:g} s, too short for doubles at these times; give {least:.2g} s"
-        if control.bonds and control.estimator not in (None, "energy"):
-            yield ("step", "bonds"), f"bonds need estimator: energy, not {control.estimator}; remove one of them"
-        if control.estimator == "energy" and not control.bonds:
-            yield ("step", "estimator"), "estimator: energy needs bonds: [{effort: a.force, flow: b.velocity}]"
+        if control.estimator is not None and bool(control.bonds) != (control.estimator == "energy"):
+            message = "estimator: energy, and no other, needs bonds: [{effort: a.force, flow: b.velocity}]"
+            yield ("step", "estimator"), message
 
 
 def is_whole(count: float) -> bool:

@@ -36,8 +36,6 @@ STAND_IN = 1.0  # replaces a faulty number, so that other checks can continue
 Resolve = Callable[[str], Path]
 # unit of a signal, and a function of (text, difference=) that returns a number in this unit or raises ValueError
 Measure = tuple[str, Callable[..., float]]
-# location, text, kind (value, difference, square, rate per second, integral over time, time, share), signal or its unit
-Quantity = tuple[Location, str, str, str | Measure]
 HEX = re.compile(r"(?:[0-9A-Fa-f]{2})*")
 
 
@@ -47,17 +45,6 @@ def settable(variable: Any) -> bool:
         return False
     has_start = variable.initial is None and variable.start is not None  # FMI 1.0 has no attribute `initial`
     return variable.causality == "input" or variable.initial in {"exact", "approx"} or has_start
-
-
-def kind_of(variable: Any) -> str:
-    """Return a phrase that says why a variable has no settable start value."""
-    phrases = {
-        "output": "an output",
-        "calculatedParameter": "calculated",
-        "independent": "the time",
-        "structuralParameter": "a structural parameter, which cosim does not change",
-    }
-    return phrases.get(variable.causality, variable.variability or "not settable")
 
 
 def with_elements(start: Mapping[str, Any], variables: Mapping[str, Any]) -> dict[str, Any]:
@@ -98,7 +85,8 @@ def start_value(description: Any, variables: Mapping[str, Any], name: str, value
         hint = did_you_mean(name, [n for n, v in variables.items() if settable(v)])
         raise ValueError(f'{component or "the FMU"} has no variable "{name}"{hint}')
     if not settable(variable):
-        raise ValueError(f"{full_name} is {kind_of(variable)}; its start value cannot be set")
+        kind = f"causality {variable.causality}, variability {variable.variability}"
+        raise ValueError(f"{full_name} has no start value that can be set ({kind})")
     try:
         return convert_value(description, variable, value)
     except ValueError as error:
@@ -213,37 +201,40 @@ def waiting_texts(
     Args:
         places: Key (connections, faults, …) → indices in the file of the entries in the scenario.
     """
-    measure = cache(partial(_measure, scenario, resolve))
-    for at, text, kind, of in _quantities(scenario, places):
-        yield at, text, partial(_read, kind, measure, of)
-
-
-def _quantities(scenario: Scenario, places: Mapping[str, Sequence[int]]) -> Iterator[Quantity]:
+    parts: list[tuple[Location, BaseModel, str | Measure, dict[str, str]]] = []
     for k, connection in zip(places["connections"], scenario.connections, strict=True):
-        yield from _texts(("connections", k), connection, connection.target)
+        parts.append((("connections", k), connection, connection.target, {}))
     for k, fault in zip(places["faults"], scenario.faults, strict=True):
         kind = {"stuck": "value", "scale": "share"}.get(fault.kind, "difference")
-        yield from _texts(("faults", k), fault, fault.on, value=kind)
-    for goal, index, criterion in scenario.goals:
+        parts.append((("faults", k), fault, fault.on, {"value": kind}))
+    for goal, at, criterion in scenario.goals:
         of_peak = "value" if goal == "peak" and not criterion.to else "difference"  # a limit such as "at most 80 degC"
         kind = {"settling_time": "time", "effort": "integral"}.get(goal, of_peak)
-        at: Location = ("criteria", goal) if index is None else ("criteria", goal, index)
-        yield from _texts(at, criterion, criterion.of, max=kind)
+        parts.append((at, criterion, criterion.of, {"max": kind}))
     for name, component in scenario.components.items():
         if not isinstance(component, FmuComponent | PlaybackComponent):
             for signal, about in component.signals.items():
-                yield from _texts(("components", name, "signals", signal), about, _measure_in(about.unit))
+                parts.append((("components", name, "signals", signal), about, _measure_in(about.unit), {}))
+    measure = cache(partial(_measure, scenario, resolve))
+    for place, part, of, kinds in parts:
+        for at, text, kind in _texts(place, part, kinds):
+            yield at, text, partial(_read, kind, measure, of)
 
 
-def _texts(at: Location, part: BaseModel, of: str | Measure, **kinds: str) -> Iterator[Quantity]:
-    """Yield texts with units in a part of the scenario; `kinds` maps keys of the part to kinds of numbers."""
+def _texts(at: Location, part: BaseModel, kinds: Mapping[str, str]) -> Iterator[tuple[Location, str, str]]:
+    """Yield location, text and kind of number of each text with a unit in a part of the scenario.
+
+    Args:
+        kinds: Key of the part → kind of its number (value, difference, square, rate per second, integral over time,
+            time, share), in addition to NUMBER_KINDS.
+    """
     for name, value in part:
         kind = kinds.get(name) or NUMBER_KINDS.get(name)
         if kind and isinstance(value, str) and has_unit(value):  # other text is the name of a signal
-            yield (*at, name), value, kind, of
+            yield (*at, name), value, kind
         for k, each in enumerate(value) if isinstance(value, list) else [(None, value)]:
             if isinstance(each, BaseModel):
-                yield from _texts((*at, name) if k is None else (*at, name, k), each, of)
+                yield from _texts((*at, name) if k is None else (*at, name, k), each, {})
 
 
 def _measure(scenario: Scenario, resolve: Resolve, signal: str) -> Measure | None:

@@ -44,9 +44,10 @@ def evaluate(scenario: Scenario, results: Results, validity: Mapping[str, Validi
             case "settling_time":
                 value, unit = settling_time(t, signal, target, criterion.band or 0.0), "s"
             case "effort":
-                value, unit = effort(t, signal - target), f"{unit}.s".lstrip(".")
+                size = np.abs(signal - target)  # held between samples
+                value, unit = float(np.sum(size[:-1] * np.diff(t))), f"{unit}.s".lstrip(".")
             case "peak":
-                value = peak(signal - target)
+                value = float(np.max(np.abs(signal - target)))
             case _:
                 figures = {"overshoot": overshoot, "rms_error": rms_error, "final_error": final_error}
                 value = figures[kind](signal, target)
@@ -115,13 +116,3 @@ def rms_error(signal: Array, target: Array | float) -> float:
 def final_error(signal: Array, target: Array | float) -> float:
     """Return the absolute error at the last sample."""
     return float(np.abs(signal - target)[-1])
-
-
-def peak(signal: Array) -> float:
-    """Return the largest magnitude of a signal."""
-    return float(np.max(np.abs(signal)))
-
-
-def effort(t: Array, signal: Array) -> float:
-    """Return the time integral of the magnitude [unit s] of a signal that is held between samples."""
-    return float(np.sum(np.abs(signal[:-1]) * np.diff(t)))

@@ -95,7 +95,10 @@ def lay_out(path: Path, folder: Path, overrides: Sequence[str] = ()) -> tuple[Sc
 def _scenario(
     system: SspSystem, files: dict[str, Path], warnings: list[str], overrides: Set[str]
 ) -> tuple[dict[str, Any], dict[Location, Element]]:
-    """Return the scenario as a mapping, and the SSD element from which each of its keys was read."""
+    """Return the scenario as a mapping, and the SSD element from which each of its keys was read.
+
+    If a default is used, a warning is added, unless `overrides` contains the key.
+    """
     places: dict[Location, Element] = {}
     name_of = {path: name for name, path in files.items()}
     components: dict[str, Any] = {}
@@ -114,7 +117,20 @@ def _scenario(
         factors = {} if linear is None else {"factor": linear.factor, "offset": linear.offset}
         connections.append({"from": source, "to": target, **factors})
         places[("connections", k)] = element
-    start, duration, step = _times(system, warnings, overrides)
+    start, stop, step = system.start or 0.0, system.stop, system.step
+    experiments, assumed = [experiment_of(part.description) for part in system.parts.values()], []
+    if stop is None:
+        stop = start + max((e["stop"] for e in experiments if e.get("stop", 0.0) > 0.0), default=DEFAULT_STOP_S)
+        assumed.append(("duration", f"no stopTime: {stop - start:g} s are run"))
+    if step is None:
+        step = min((e["step"] for e in experiments if e.get("step", 0.0) > 0.0), default=DEFAULT_STEP_S)
+        assumed.append(("step", f"no communication step: {step:g} s is taken"))
+    warnings += [f"the SSP names {text}; --set {k}=… for another" for k, text in assumed if k not in overrides]
+    duration = stop - start
+    if not is_whole(count := duration / step):
+        duration = math.ceil(count) * step if count < 1e15 else duration
+        if overrides.isdisjoint({"duration", "step"}):
+            warnings.append(f"the run lasts {duration:g} s: stopTime is rounded up to whole steps of {step:g} s")
     for key in ("start_time", "duration", "step"):
         places[(key,)] = system.experiment
     scenario = {
@@ -128,28 +144,3 @@ def _scenario(
         "connections": connections,
     }
     return scenario, places
-
-
-def _times(system: SspSystem, warnings: list[str], overrides: Set[str]) -> tuple[float, float, float]:
-    """Return start, duration and communication step [s].
-
-    If a default is used, a warning is added, unless `overrides` contains the key.
-    """
-
-    start, stop, step = system.start or 0.0, system.stop, system.step
-    experiments = [experiment_of(part.description) for part in system.parts.values()]
-    assumed = []
-    if stop is None:
-        stop = start + max((e["stop"] for e in experiments if e.get("stop", 0.0) > 0.0), default=DEFAULT_STOP_S)
-        assumed.append(("duration", f"no stopTime: {stop - start:g} s are run"))
-    duration = stop - start
-    if step is None:
-        step = min((e["step"] for e in experiments if e.get("step", 0.0) > 0.0), default=DEFAULT_STEP_S)
-        assumed.append(("step", f"no communication step: {step:g} s is taken"))
-    warnings += [f"the SSP names {text}; --set {k}=… for another" for k, text in assumed if k not in overrides]
-    count = duration / step
-    if not is_whole(count):
-        duration = math.ceil(count) * step if count < 1e15 else duration
-        if overrides.isdisjoint({"duration", "step"}):
-            warnings.append(f"the run lasts {duration:g} s: stopTime is rounded up to whole steps of {step:g} s")
-    return start, duration, step

@@ -12,7 +12,7 @@ from cosim.core.arrays import Array
 from cosim.core.errors import InputError
 from cosim.core.extras import pandas_for_frames
 from cosim.core.messages import Note, printable
-from cosim.core.text import MISSING, counted, plain
+from cosim.core.text import MISSING, counted, did_you_mean, plain
 from cosim.files.artefact import LOG, folder_kind
 from cosim.files.folders import manifest_in, newest_run, replay_record, run_name, status_in, warnings_on
 from cosim.files.kinds import check_given, refuse_folder
@@ -75,8 +75,6 @@ class Signals:
 
     def __getitem__(self, name: str) -> Array:
         if name not in self.results.columns:
-            from cosim.core.text import did_you_mean
-
             hint = did_you_mean(name, self.results.columns)
             raise KeyError(f'no signal "{name}"{hint}')
         return self.results[name]
@@ -204,9 +202,8 @@ class Run(Signals):
 
 def run_of(results: Results, manifest: Mapping[str, Any], folder: Path | None) -> Run:
     """Return a run with the name of its scenario."""
-    scenario = manifest.get("scenario")
-    name = scenario.get("name") if isinstance(scenario, Mapping) else None
-    return Run(str(name or (folder.name if folder else "run")), results, folder, manifest)
+    name = manifest.get("scenario", {}).get("name") or (folder.name if folder else "run")
+    return Run(name, results, folder, manifest)
 
 
 def read_run(path: Path) -> Run | Signals:
@@ -230,8 +227,7 @@ class RecordedRun:
     @property
     def criteria(self) -> list[dict[str, Any]]:
         """Return the evaluated criteria in the manifest."""
-        entries = self.manifest.get("criteria")
-        return [c for c in entries if isinstance(c, dict)] if isinstance(entries, list) else []
+        return list(self.manifest.get("criteria", ()))
 
 
 def read_ran(path: Path) -> RecordedRun:

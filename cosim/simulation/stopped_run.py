@@ -8,37 +8,42 @@ results/NAME/checkpoint/run.json   manifest of the run before its outcome
 
 from __future__ import annotations
 
-import copy
 import math
 import os
 import shutil
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack, suppress
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
+from cosim.blocks.compiling import compiling, permission
 from cosim.blocks.model_exchange import MIN_SOLVER_STEPS
+from cosim.core.arrays import Array
 from cosim.core.errors import InputError
+from cosim.core.messages import Note
 from cosim.core.scratch import lock_file
 from cosim.core.times import rounding, roundings
 from cosim.core.version import __version__
-from cosim.files.files import write_json
+from cosim.files.files import check_writable, write_json
 from cosim.files.folders import content_of, has_type, new_run, newest_run, sound_part
 from cosim.files.results import Results, read_results, rows_in
 from cosim.files.state_file import sync, unpack
+from cosim.isolation.limits import Limits
+from cosim.isolation.process import Worker
 from cosim.isolation.rows import read_exact, read_table
-from cosim.master.checkpoint import BESIDE_FILE, CHECKPOINT_VERSION, ROWS_FILE, STATE_FILE, Continuation, RowsHash
+from cosim.master.beforehand import with_feedthrough, without_ended_states
+from cosim.master.checkpoint import BESIDE_FILE, ROWS_FILE, STATE_FILE, Continuation, RowsHash
+from cosim.master.observer import Change, with_changes
 from cosim.master.remote import IN_USE, read_state
-from cosim.scenario.scenario import Scenario
 from cosim.scenario.scenario_file import ScenarioFile
+from cosim.simulation.manifest import check_pinned
 from cosim.system.events import is_exchange
-from cosim.system.system import System
+from cosim.system.system import System, build_system
 
 NOTHING_TO_RESUME = (
     "contains no stopped run; start one with `cosim run SCENARIO`, with `checkpoint: 60 s` to store checkpoints"
@@ -58,150 +63,120 @@ CHECKPOINT, RUN, MANIFEST_FILE = "checkpoint", "run.json", "manifest.json"
 PATIENCE, PAUSE = 15.0, 0.05  # time [s] for the worker of a killed command to end, and between two looks
 EXTRA = "files"  # key of run.json beside those of a manifest: name of the rows file, warnings of an SSP
 EXTRA_KIND = {"rows": str, "warnings": [str]}
+COMPILED = "compile"  # key of a manifest: True if a resumed run may compile sources of FMUs
 
 
-@dataclass(frozen=True)
-class StoppedRun:
-    """A stopped or finished run, read from its folder.
+@dataclass
+class Prepared:
+    """A run that is ready to be stepped.
 
     Attributes:
-        source: File of the record: checkpoint/run.json or manifest.json.
-        record: Manifest.
-        rows_file: Name of the file with the rows.
-        state: Content of the last checkpoint's file as bytes, if any.
-        checkpoint: Last checkpoint, read from `state`.
-        lasted: Wall time [s] of the steps so far, if it is recorded.
+        record: Manifest without timings and outcome.
+        warnings: Warnings that do not come from the scenario.
+        changes: Changes by observers before the run was stopped.
+        start: Rows and state from which a stopped run continues; None for a new run.
     """
 
-    folder: Path
-    source: Path
-    record: dict[str, Any]
+    file: ScenarioFile
+    place: Path
+    system: System
     rows_file: str
-    state: bytes | None
-    checkpoint: Mapping[str, Any]
-    lasted: float
+    record: dict[str, Any]
+    warnings: Sequence[str] = ()
+    start: Continuation | None = None
+    changes: Sequence[Change] = ()
 
-    def base(self, warnings: Sequence[str] | None) -> dict[str, Any]:
-        """Return the manifest without timings and outcome.
 
-        Args:
-            warnings: Warnings of the system; None for the recorded ones.
-        """
-        record = copy.deepcopy(self.record)
-        for key in ("no_report", EXTRA):
-            record.pop(key, None)
-        record["warnings"] = list(record.get("warnings", ())) if warnings is None else [*warnings, *self.warnings]
-        return record | {"status": "ok", "loop": "", "timings": {}, "criteria": []}
+def prepare_stopped(
+    path: Path, until: float | None, worker: Worker | None, tell: Callable[[str], None], stack: ExitStack
+) -> Prepared:
+    """Return a stopped or finished run that is ready to continue; `tell` shows how it continues.
 
-    @property
-    def warnings(self) -> list[str]:
-        """Return the warnings that do not come from the scenario."""
-        return list(self.record.get(EXTRA, {}).get("warnings", ()))
+    Args:
+        until: New stop time [s]; None for that of the scenario.
+        stack: Stack that holds the lock of the folder and the permission of the run to compile sources.
 
-    def solver_steps(self, system: System) -> dict[str, float]:
-        """Return component → longest solver step [s] so far, where this default depends on the stop time."""
-        start = self._first.start_time
-        stop = start + self._first.step * self._first.steps  # as the master computes it
+    Raises:
+        InputError: The run is finished, `until` is not later than the last row, or the files do not fit together.
+    """
+    folder, source, record, state, checkpoint = _open_stopped(path, stack)
+    extra = record.pop(EXTRA, {})
+
+    @cache
+    def results() -> Results:
+        if (table := rows_in(folder)) is None:
+            raise InputError.at(folder, NOTHING_TO_RESUME if state is None else ROWS_OF_ANOTHER_RUN)
+        return read_results(table, {}, record.get("beside", ()))
+
+    overrides, first, begin = list[str](), None, record["scenario"].get("start_time", 0.0)
+    if until is not None:
+        times = results().time if state is None else [checkpoint["time"]]
+        reached = float(times[-1]) if len(times) else -math.inf
+        if not reached < until < math.inf:
+            reason = f"--until {until:g} s is not after t = {reached:g} s, the last row; give a later time"
+            raise InputError.at(folder, reason)
+        overrides, first = [f"duration={until - begin!r}"], ScenarioFile(source).scenario
+    file = ScenarioFile(source, overrides, option="--until")
+    check_pinned(file)
+    stack.enter_context(compiling(permission.get() or record.get(COMPILED) is True))
+    system, solver_steps = build_system(file), dict[str, float]()
+    if first is not None:  # the default of the longest solver step depends on the stop time
+        stop = first.start_time + first.step * first.steps  # as the master computes it
+        longest = (stop - first.start_time) / MIN_SOLVER_STEPS
         exchanged: list[Any] = [stage.component for stage in system.stages if is_exchange(stage.component)]
-        return {c.name: (stop - start) / MIN_SOLVER_STEPS for c in exchanged if c.instance.longest is None}
-
-    def scenario(self, until: float | None, solver_steps: Mapping[str, float] = MappingProxyType({})) -> ScenarioFile:
-        """Return the scenario, with the stop time `until` [s] if it is not None.
-
-        Args:
-            solver_steps: Component → longest step of its solver [s].
-
-        Raises:
-            InputError: `until` is not later than the last row.
-        """
-        start = self.record["scenario"].get("start_time", 0.0)
-        overrides = [] if until is None else [f"duration={until - start!r}"]
+        solver_steps = {component.name: longest for component in exchanged if component.instance.longest is None}
+    if solver_steps:
         overrides += [f"components.{name}.solver_step={longest!r}" for name, longest in solver_steps.items()]
-        if until is not None and not self._reached < until < math.inf:
-            raise InputError.at(
-                self.folder,
-                f"--until {until:g} s is not after t = {self._reached:g} s, the last row; give a later time",
-            )
-        return ScenarioFile(self.source, overrides, option="--until")
-
-    @property
-    def end(self) -> int:
-        """Return the last communication point of the scenario so far."""
-        return self._first.steps
-
-    @cached_property
-    def _first(self) -> Scenario:
-        """Return the scenario of the run so far."""
-        return ScenarioFile(self.source).scenario
-
-    @cached_property
-    def _results(self) -> Results:
-        """Return the results so far; raise InputError if there are none."""
-        rows = rows_in(self.folder)
-        if rows is None:
-            raise InputError.at(self.folder, NOTHING_TO_RESUME if self.state is None else ROWS_OF_ANOTHER_RUN)
-        return read_results(rows, {}, self.record.get("beside", ()))
-
-    @property
-    def _reached(self) -> float:
-        """Return the time [s] of the last checkpoint or row."""
-        if self.state is not None:
-            return float(self.checkpoint["time"])
-        return float(self._results.time[-1]) if len(self._results.time) else -math.inf
-
-    def start(self, system: System, scenario: Scenario) -> Continuation | None:
-        """Return rows and state from which the run continues; None if it must start again, as rows are missing.
-
-        Raises:
-            InputError: The run is finished, or its files do not fit together.
-        """
-        kept = self.folder / CHECKPOINT
-        count = self.checkpoint["point"] + 1 if self.checkpoint else 0
-        start = None
-        if (kept / ROWS_FILE).is_file():
-            width = len(system.columns)
-            if not count:
-                raise InputError.at(kept, STOPPED_BEFORE_ROWS)
-            if (kept / ROWS_FILE).stat().st_size < 8 * count * width:
-                raise InputError.at(kept / ROWS_FILE, ROWS_OF_ANOTHER_RUN)
-            start = Continuation(
-                read_table(kept / ROWS_FILE, count, width), read_exact(kept / BESIDE_FILE, count), self.state
-            )
-        elif system.recording is None:
-            # the first rows of the results
-            results, rows = self._results, self.folder / self.rows_file
-            expected = scenario.start_time + scenario.step * np.arange(len(results.time), dtype=np.float64)
-            on_grid = np.abs(results.time - expected) <= roundings(expected, scenario.step)
-            complete = len(results.time) if on_grid.all() else int(np.argmin(on_grid))  # an FMU may end between
-            count = count or complete
-            if not complete:
-                raise InputError.at(rows, STOPPED_BEFORE_ROWS)
-            if results.columns != system.columns or complete < count:
-                raise InputError.at(rows, ROWS_OF_ANOTHER_RUN)
-            readers: dict[str, Callable[[str], Any]] = {"Binary": bytes.fromhex, "String": str}
-            columns = [
-                [readers.get(system.signals[name].kind, int)(str(value)) for value in results.exact[name][:count]]
-                for name in system.beside
-            ]
-            values = np.ascontiguousarray(results.values[:count])
-            start = Continuation(values, [*zip(*columns, strict=True)], self.state)
-        if (
-            start is not None
-            and self.checkpoint
-            and RowsHash().of(start.values, start.exact, start.count) != self.checkpoint["rows"]
-        ):
-            raise InputError.at(self.folder, ROWS_OF_ANOTHER_RUN)
-        if start is None or (start.count > scenario.steps and rows_in(self.folder) is not None):
-            end, time_ = scenario.start_time + scenario.duration, self._results.time
-            if len(time_) and time_[-1] >= end - rounding(end, scenario.step):
-                raise InputError.at(
-                    self.folder, f"its run is finished, at t = {end:g} s; to extend it, give a later time as --until"
-                )
-        return start
+        file = ScenarioFile(source, overrides, option="--until")
+        system = build_system(file)
+    system, scenario = with_feedthrough(file, system, worker), file.scenario
+    table = rows_in(folder)
+    rows_file = extra.get("rows", "results.csv" if table is None else table.name)
+    start = _continuation(folder, state, checkpoint, system, scenario.step, results)
+    if start is None or (start.count > scenario.steps and table is not None):
+        end, time_ = scenario.start_time + scenario.duration, results().time
+        if len(time_) and time_[-1] >= end - rounding(end, scenario.step):
+            reason = f"its run is finished, at t = {end:g} s; to extend it, give a later time as --until"
+            raise InputError.at(folder, reason)
+    if first is not None and start is not None:
+        grid, limits = (scenario.steps, scenario.step), scenario.limits or Limits()
+        start, ended = without_ended_states(system, grid, start, first.steps, worker, limits)
+        if ended:
+            end = scenario.start_time + first.steps * scenario.step
+            reason = f"the saved state does not go beyond t = {end:g} s, the end that the FMU was told"
+            tell(Note(f"{', '.join(ended)}: {reason}; so all steps are made again"))
+    check_writable(folder, (rows_file, MANIFEST_FILE, "report.html"), file.files)
+    if changes := [Change(point, values) for point, values in checkpoint.get("changes", ())]:
+        system = replace(system, events=with_changes(system.events, changes))
+        start = start and replace(start, changes=changes)
+    warnings = list(extra.get("warnings", ()))  # those that do not come from the scenario
+    is_recorded = until is None and extra
+    record["warnings"] = list(record.get("warnings", ())) if is_recorded else [*system.warnings, *warnings]
+    record.pop("no_report", None)
+    record |= {"status": "ok", "loop": "", "timings": {}, "criteria": []}
+    record["scenario"]["duration"] = scenario.duration
+    for name, longest in solver_steps.items():
+        record["scenario"]["components"][name]["solver_step"] = longest
+    if start is None:
+        note = (
+            f"record omits signals or rows, so the run is repeated from t = {scenario.start_time:g} s; checkpoint: "
+            "stores all of them"
+        )
+    else:
+        last = scenario.start_time + (start.count - 1) * scenario.step
+        note = f"the run continues from t = {last:g} s, row {start.count} of {scenario.steps + 1}"
+        if names := start.unsaved(system):
+            note += f"; the state of {', '.join(names)} is not saved, so all steps are repeated"
+    tell(Note(note))
+    return Prepared(file, folder, system, rows_file, record, warnings, start, changes)
 
 
-def open_stopped(path: Path, stack: ExitStack) -> StoppedRun:
-    """Return the run in a folder, and lock the folder against other commands until the stack is closed.
+def _open_stopped(path: Path, stack: ExitStack) -> tuple[Path, Path, dict[str, Any], bytes | None, dict[str, Any]]:
+    """Lock the folder of a run against other commands until the stack is closed.
+
+    Returns:
+        The folder, the file of the record (checkpoint/run.json or manifest.json) and its content, the file of the last
+        checkpoint as bytes and its content.
 
     Raises:
         InputError: The folder contains no run to continue, or a checkpoint that is damaged or of another version.
@@ -222,26 +197,62 @@ def open_stopped(path: Path, stack: ExitStack) -> StoppedRun:
     if (version := record.get("cosim_version")) != __version__:
         raise InputError.at(source, OTHER_VERSION.format(version=version, own=__version__))
     stack.enter_context(new_run(folder, "", "cosim run", force=True))
-    kept = folder / CHECKPOINT
-    _wait_for_worker(kept)
-    lasted: Any = record.get("timings", {}).get("simulate", 0.0)
-    checkpoint: dict[str, Any] = {}
-    state = read_state(kept / STATE_FILE)
-    if state is not None:
-        try:
-            checkpoint = unpack(state)
-            if checkpoint["format"] != CHECKPOINT_VERSION:
-                raise InputError.at(
-                    kept / STATE_FILE,
-                    OTHER_VERSION.format(version=f"format {checkpoint['format']}", own=CHECKPOINT_VERSION),
-                )
-            lasted = float(checkpoint["elapsed"])
-        except (ValueError, LookupError, TypeError, RecursionError) as error:  # also BadState
-            raise InputError.at(kept / STATE_FILE, DAMAGED_CHECKPOINT.format(reason=str(error))) from None
-    rows = rows_in(folder)
-    rows_file = record.get(EXTRA, {}).get("rows", "results.csv" if rows is None else rows.name)
-    lasted = lasted if isinstance(lasted, float) else 0.0
-    return StoppedRun(folder, source, record, rows_file, state, checkpoint, lasted)
+    _wait_for_worker(folder / CHECKPOINT)
+    file = folder / CHECKPOINT / STATE_FILE
+    state = read_state(file)
+    try:
+        checkpoint = {} if state is None else unpack(state)
+        if state is not None and type(checkpoint["point"]) is not int:
+            raise TypeError("it has no point")
+    except (ValueError, LookupError, TypeError, RecursionError) as error:  # also BadState
+        raise InputError.at(file, DAMAGED_CHECKPOINT.format(reason=str(error))) from None
+    return folder, source, record, state, checkpoint
+
+
+def _continuation(
+    folder: Path,
+    state: bytes | None,
+    checkpoint: Mapping[str, Any],
+    system: System,
+    step: float,
+    results: Callable[[], Results],
+) -> Continuation | None:
+    """Return rows and state from which a run continues; None if it must start again, as rows are missing.
+
+    Raises:
+        InputError: The files do not fit together.
+    """
+    rows, count = folder / CHECKPOINT / ROWS_FILE, checkpoint["point"] + 1 if checkpoint else 0
+    if rows.is_file():
+        width = len(system.columns)
+        if not count:
+            raise InputError.at(folder / CHECKPOINT, STOPPED_BEFORE_ROWS)
+        if rows.stat().st_size < 8 * count * width:
+            raise InputError.at(rows, ROWS_OF_ANOTHER_RUN)
+        values: Array = read_table(rows, count, width)
+        exact: Sequence[tuple[Any, ...]] = read_exact(rows.with_name(BESIDE_FILE), count)
+    elif system.recording is None:
+        # the first rows of the results
+        whole = results()
+        expected = system.start + step * np.arange(len(whole.time), dtype=np.float64)
+        on_grid = np.abs(whole.time - expected) <= roundings(expected, step)
+        complete = len(whole.time) if on_grid.all() else int(np.argmin(on_grid))  # an FMU may end between
+        count = count or complete
+        if not complete:
+            raise InputError.at(folder, STOPPED_BEFORE_ROWS)
+        if whole.columns != system.columns or complete < count:
+            raise InputError.at(folder, ROWS_OF_ANOTHER_RUN)
+        readers: dict[str, Callable[[str], Any]] = {"Binary": bytes.fromhex, "String": str}
+        columns = [
+            [readers.get(system.signals[name].kind, int)(str(value)) for value in whole.exact[name][:count]]
+            for name in system.beside
+        ]
+        values, exact = np.ascontiguousarray(whole.values[:count]), [*zip(*columns, strict=True)]
+    else:
+        return None
+    if checkpoint and RowsHash().of(values, exact, count) != checkpoint["rows"]:
+        raise InputError.at(folder, ROWS_OF_ANOTHER_RUN)
+    return Continuation(values, exact, state)
 
 
 def _wait_for_worker(kept: Path) -> None:

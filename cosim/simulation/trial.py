@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +20,7 @@ from cosim.credibility.found import read_credibility
 from cosim.files.artefact import Checking
 from cosim.files.files import FilePath
 from cosim.files.results import Results
-from cosim.fmi.description import read_description, takes_any_step, validation
+from cosim.fmi.description import read_description, validation
 from cosim.isolation.limits import Limits
 from cosim.isolation.process import Worker
 from cosim.master.beforehand import with_feedthrough
@@ -28,11 +28,9 @@ from cosim.master.remote import RUN_MODULES, simulate_in
 from cosim.scenario.scenario_file import ScenarioFile
 from cosim.simulation.manifest import check_pinned
 from cosim.simulation.packaged import lay_out
-from cosim.system.recording import recording_notes
 from cosim.system.system import System, build_system
 
 MAX_CALL_TIME = 60.0  # allowed time [s] of a call during the trial of an FMU
-MOST_INNER_STEPS = 10_000  # of an FMU with a fixed internal step, so that the trial is short
 TRIAL_STEP_S = 0.01  # without a default experiment
 TRIAL_STEPS = 500  # in an experiment without step size
 
@@ -56,9 +54,6 @@ def check_fmu(path: Path, checking: Checking) -> list[str]:
         experiment = experiment_of(description)
         start, stop, step = (experiment.get(name, 0.0) for name in ("start", "stop", "step"))
         step = step if step > 0.0 else (stop - start) / TRIAL_STEPS if stop > start else TRIAL_STEP_S
-        inner = float(getattr(description.coSimulation, "fixedInternalStepSize", None) or 0.0)
-        if inner and takes_any_step(description):
-            step = min(step, MOST_INNER_STEPS * inner)
         times = {"start_time": start, "duration": step, "step": step}
         content = {"name": path.stem, **times, "components": {"fmu": {"fmu": str(path.resolve())}}}
         worker.start()
@@ -111,8 +106,7 @@ def _check(file: ScenarioFile, path: Path, worker: Worker | None, warnings: Sequ
         system = with_feedthrough(file, system, worker)
         said = _run_once(file, system, path, worker)
     shown = [text for text in (*system.warnings, *said) if isinstance(text, CheckWarning)]
-    notes = recording_notes(file.scenario, system.columns, system.recording)
-    return [*map(with_severity, (*warnings, *shown, *notes))]
+    return [*map(with_severity, (*warnings, *shown))]
 
 
 def _run_once(file: ScenarioFile, system: System, path: Path, worker: Worker) -> list[str]:
@@ -146,32 +140,15 @@ def _run_once(file: ScenarioFile, system: System, path: Path, worker: Worker) ->
 # difference for p = 1, the order of Gauss-Seidel and Jacobi with held inputs.
 
 
-@dataclass(frozen=True)
-class CouplingError:
-    """Largest difference of each connected signal, in its unit, between a run and a run with half the step.
-
-    Attributes:
-        of: Signal → largest difference.
-        stopped: Reason why differences are missing; "" if none are missing.
-    """
-
-    of: Mapping[str, float]
-    stopped: str = ""
-
-    @property
-    def sentence(self) -> str:
-        """Return the result in one sentence."""
-        if self.stopped:
-            return f"coupling error not known: with half the step {self.stopped}"
-        sizes = ", ".join(f"{name} {value:.2g}" for name, value in self.of.items())
-        changes = f"{sizes}; the coupling error is about twice that" if sizes else "none, because nothing is connected"
-        return Note(f"with half the step, the largest changes are: {changes}")
-
-
-def coupling_error(scenario: FilePath, overrides: Sequence[str] = (), *, in_process: bool = False) -> CouplingError:
-    """Simulate a scenario without noise at full and at half step, and return the differences.
+def coupling_error(
+    scenario: FilePath, overrides: Sequence[str] = (), *, in_process: bool = False
+) -> tuple[dict[str, float], str]:
+    """Simulate a scenario without noise at full and at half step.
 
     FMUs run in a worker process within the limits of the scenario.
+
+    Returns:
+        Largest difference of each connected signal, in its unit, and a sentence on the result.
 
     Raises:
         InputError: The scenario is faulty.
@@ -182,7 +159,7 @@ def coupling_error(scenario: FilePath, overrides: Sequence[str] = (), *, in_proc
     if original.scenario.control is not None:
         reason = "uses variable steps, but --coupling-error needs a fixed step: add for example --set step=0.01"
         raise InputError([original.fault(("step",), reason)])
-    runs: list[Results] = []
+    runs, unknown = list[Results](), "coupling error not known: with half the step"
     with ExitStack() as stack:
         worker = None if in_process else stack.enter_context(Worker(*RUN_MODULES))
         for parts in (1, 2):
@@ -194,16 +171,19 @@ def coupling_error(scenario: FilePath, overrides: Sequence[str] = (), *, in_proc
                 if parts == 1:
                     raise
                 reason = "; ".join(fault.message.partition(": set ")[0] for fault in error.faults)
-                return CouplingError({}, f"it cannot be run: {reason}")
+                return {}, f"{unknown} it cannot be run: {reason}"
             stepped = simulate_in(worker, system, steps, step, original.scenario.limits)
             if isinstance(stepped.failure, Interrupted):
                 raise stepped.failure
             if stepped.failure is not None:
-                return CouplingError({}, str(stepped.failure))
+                return {}, f"{unknown} {stepped.failure}"
             if len(stepped.results.time) <= steps:
-                return CouplingError({}, f"the run ends early, at t = {stepped.results.time[-1]:g} s")
+                return {}, f"{unknown} the run ends early, at t = {stepped.results.time[-1]:g} s"
             runs.append(stepped.results)
     whole, halved = runs
     sources = dict.fromkeys(c.source for c in original.scenario.connections)
     columns = [c for name in sources for c in whole.columns if c == name or c.startswith(f"{name}[")]
-    return CouplingError({c: float(np.max(np.abs(whole[c] - halved[c][::2]))) for c in columns})
+    changes = {column: float(np.max(np.abs(whole[column] - halved[column][::2]))) for column in columns}
+    sizes = ", ".join(f"{name} {value:.2g}" for name, value in changes.items())
+    sentence = f"{sizes}; the coupling error is about twice that" if sizes else "none, because nothing is connected"
+    return changes, Note(f"with half the step, the largest changes are: {sentence}")

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import copy
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager, suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from json import dumps
 from pathlib import Path
 from typing import Any
@@ -39,11 +39,10 @@ from cosim.files.folders import (
 from cosim.files.kinds import check_form, shell_path
 from cosim.files.results import Results, rows_in, rows_name
 from cosim.files.state_file import write_durable
-from cosim.isolation.limits import Limits
 from cosim.isolation.process import Worker
-from cosim.master.beforehand import with_feedthrough, without_ended_states
-from cosim.master.checkpoint import STATE_FILE, Continuation, Keeping
-from cosim.master.observer import Change, InputFunctions, NamedFunctions, Observers, ProgressObserver, with_changes
+from cosim.master.beforehand import with_feedthrough
+from cosim.master.checkpoint import STATE_FILE, Keeping
+from cosim.master.observer import InputFunctions, NamedFunctions, Observers, ProgressObserver
 from cosim.master.remote import RUN_MODULES, simulate_in
 from cosim.scenario.scenario_file import ScenarioFile, from_here, sha256
 from cosim.simulation.criteria import evaluate
@@ -51,39 +50,18 @@ from cosim.simulation.manifest import add_changes, check_pinned, manifest, softw
 from cosim.simulation.packaged import is_ssp, lay_out
 from cosim.simulation.run_signals import Run, run_of
 from cosim.simulation.stopped_run import (
-    EXTRA,
+    COMPILED,
     MANIFEST_FILE,
+    Prepared,
     end_keeping,
-    open_stopped,
+    prepare_stopped,
     remove_checkpoints,
     write_run,
 )
-from cosim.system.system import System, build_system
+from cosim.system.system import build_system
 
 VERB = "cosim run"
 MANY_VALUES = 10_000_000  # values in a CSV file above which a note proposes Parquet
-COMPILED = "compile"  # key of a manifest: True if a resumed run may compile sources of FMUs
-
-
-@dataclass
-class _Prepared:
-    """A run that is ready to be stepped.
-
-    Attributes:
-        record: Manifest without timings and outcome.
-        warnings: Warnings that do not come from the scenario.
-        changes: Changes by observers before the run was stopped.
-        start: Rows and state from which a stopped run continues; None for a new run.
-    """
-
-    file: ScenarioFile
-    place: Path
-    system: System
-    rows_file: str
-    record: dict[str, Any]
-    warnings: Sequence[str] = ()
-    start: Continuation | None = None
-    changes: Sequence[Change] = ()
 
 
 @one_stop()
@@ -95,7 +73,6 @@ def run(
     seed: Seed | None = None,
     pace: float | None = None,
     report: bool = True,
-    figures: bool = False,
     force: bool = False,
     in_process: bool = False,
     compile: bool = False,
@@ -119,7 +96,6 @@ def run(
         seed: Seed for all random numbers (default: the seed of the scenario).
         pace (NUMBER): Simulated seconds per second: 1 for real time (default: that of the scenario).
         report: Write report.html.
-        figures: Write figures/*.png.
         force: Write even if the folder is not empty; results in it are replaced.
         in_process: Load FMUs into this process, for a debugger; limits do not apply.
         compile: Compile and execute the sources of FMUs that have no library for this machine.
@@ -156,21 +132,21 @@ def run(
             worker.start()  # starts in parallel to the reading of files
         software = stack.enter_context(ThreadPoolExecutor(1)).submit(software_versions)  # parallel to the loading
         if goes_on:
-            prepared = _prepare_stopped(path, until, worker, tell, stack)
+            prepared = prepare_stopped(path, until, worker, tell, stack)
         else:
             is_package, warnings = is_ssp(path), list[str]()
-            if not is_package:
-                file = ScenarioFile(path, overrides)
-            name = path.stem if is_package else file.scenario.name
-            place = stack.enter_context(results_in(out, VERB, name, force=force))
             if is_package:
+                place = stack.enter_context(results_in(out, VERB, path.stem, force=force))
                 file, warnings = lay_out(path, place, overrides)
+            else:
+                file = ScenarioFile(path, overrides)
+                place = stack.enter_context(results_in(out, VERB, file.scenario.name, force=force))
             check_pinned(file)
             system, rows_file = build_system(file), rows_name("results", format)
             if not is_package:
                 remove_earlier(place, read=file.files)
             check_writable(place, (rows_file, MANIFEST_FILE, "report.html"), file.files)
-            system = replace(with_feedthrough(file, system, worker, tell), pace=file.scenario.pace)
+            system = replace(with_feedthrough(file, system, worker), pace=file.scenario.pace)
             command = content_of(place / STARTED).get(COMMAND_KEY, VERB)
             record = manifest(file, system, "" if command == VERB else command) | software.result()
             if is_package:
@@ -178,7 +154,7 @@ def run(
             record["warnings"] += warnings
             if permission.get():
                 record[COMPILED] = True
-            prepared = _Prepared(file, place, system, rows_file, record, warnings)
+            prepared = Prepared(file, place, system, rows_file, record, warnings)
             count, part = file.scenario.steps + 1, system.recording
             values = (count if part is None else len(part.rows(count))) * len(system.columns)
             if values > MANY_VALUES and rows_file.endswith(".csv"):
@@ -219,7 +195,7 @@ def run(
             raise failure  # files that are already written stay
         record = copy.deepcopy(prepared.record)
         record["loop"] = results.loop
-        simulated = scenario_.duration if start is None else (scenario_.steps + 1 - start.count) * scenario_.step
+        simulated = (scenario_.steps + 1 - (1 if start is None else start.count)) * scenario_.step
         speed = simulated / stepping
         record["timings"] = {"load": loaded - begin, "simulate": stepping, "real_time_factor": speed, **stepped.times}
         add_changes(record, scenario_, [*prepared.changes, *stepped.changes])
@@ -246,9 +222,8 @@ def run(
         if worker is None and scenario_.limits is not None:
             record["warnings"].append("limits are not checked, because FMUs run in this process (--in-process)")
         is_written = goes_on or out is not None
-        pages = {"report": report and is_written, "figures": figures and is_written}
-        state = None if failure is None else stepped.state
-        failure = _write_files(prepared, results, failure, state, record, pages, is_kept=keeping.folder is not None)
+        state, is_kept = None if failure is None else stepped.state, keeping.folder is not None
+        failure = _write_files(prepared, results, failure, state, record, report and is_written, is_kept=is_kept)
     if failure is not None:
         failure.left = place
         raise failure
@@ -281,70 +256,13 @@ def _scenario_file(scenario: FilePath | Mapping[str, Any]) -> Iterator[Path]:
             raise InputError(faults) from None
 
 
-def _prepare_stopped(
-    path: Path,
-    until: float | None,
-    worker: Worker | None,
-    tell: Callable[[str], None],
-    stack: ExitStack,
-) -> _Prepared:
-    """Return a stopped run that is ready to continue; `tell` shows how it continues.
-
-    Args:
-        stack: Stack that holds the lock of the folder and the permission of the run to compile sources.
-    """
-    stopped = open_stopped(path, stack)
-    file = stopped.scenario(until)
-    check_pinned(file)
-    stack.enter_context(compiling(permission.get() or stopped.record.get(COMPILED) is True))
-    system = build_system(file)
-    steps = {} if until is None else stopped.solver_steps(system)
-    if steps:
-        file = stopped.scenario(until, steps)
-        system = build_system(file)
-    system = with_feedthrough(file, system, worker, tell)
-    start = stopped.start(system, file.scenario)
-    if until is not None and start is not None:
-        grid, limits = (file.scenario.steps, file.scenario.step), file.scenario.limits or Limits()
-        start, ended = without_ended_states(system, grid, start, stopped.end, worker, limits)
-        if ended:
-            time_ = file.scenario.start_time + stopped.end * file.scenario.step
-            reason = f"the saved state does not go beyond t = {time_:g} s, the end that the FMU was told"
-            tell(Note(f"{', '.join(ended)}: {reason}; so all steps are made again"))
-    check_writable(stopped.folder, (stopped.rows_file, MANIFEST_FILE, "report.html"), file.files)
-    if changes := [Change(point, values) for point, values in stopped.checkpoint.get("changes", ())]:
-        system = replace(system, events=with_changes(system.events, changes))
-        start = start and replace(start, changes=changes)
-    record = stopped.base(system.warnings if until is not None or EXTRA not in stopped.record else None)
-    record["scenario"]["duration"] = file.scenario.duration
-    for name, longest in steps.items():
-        record["scenario"]["components"][name]["solver_step"] = longest
-    if start is None:
-        note = (
-            f"record omits signals or rows, so the run is repeated from t = {file.scenario.start_time:g} s; "
-            "checkpoint: stores all of them"
-        )
-    else:
-        time_ = file.scenario.start_time + (start.count - 1) * file.scenario.step
-        note = f"the run continues from t = {time_:g} s, row {start.count} of {file.scenario.steps + 1}"
-        if names := start.unsaved(system):
-            note += (
-                f"; the state of {', '.join(names)} is not saved, so all steps are repeated, which takes about "
-                f"{stopped.lasted:.2g} s"
-            )
-    tell(Note(note))
-    return _Prepared(
-        file, stopped.folder, system, stopped.rows_file, record, stopped.warnings, start=start, changes=changes
-    )
-
-
 def _write_files(
-    prepared: _Prepared,
+    prepared: Prepared,
     results: Results,
     failure: SimulationError | None,
     state: bytes | None,
     record: dict[str, Any],
-    pages: Mapping[str, bool],
+    report: bool,
     *,
     is_kept: bool,
 ) -> SimulationError | None:
@@ -373,10 +291,10 @@ def _write_files(
             kept = write_run(rows.parent, prepared.record, rows.name, prepared.warnings)
             write_durable(kept / STATE_FILE, state)
         release_stops()
-        if any(pages.values()):
-            from cosim.simulation.report.figures import write_pages
+        if report:
+            from cosim.simulation.report.run_page import write_report
 
-            write_pages(rows.parent, results, record, **pages)
+            write_report(rows.with_name("report.html"), results, record)
     except OSError as error:
         if not is_full(error):
             raise

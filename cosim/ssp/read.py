@@ -101,9 +101,7 @@ class Package:
             uri = urlsplit(source)
             within = self.folder.resolve()
             path = (within / unquote(uri.path)).resolve()
-            if uri.scheme not in {"", "file"} or uri.netloc:
-                return f'"{name}" is not in the package; {cure}'
-            if self.packed and not path.is_relative_to(within):
+            if uri.scheme not in {"", "file"} or uri.netloc or (self.packed and not path.is_relative_to(within)):
                 return f'"{name}" is outside the package; {cure}'
             return path if path.is_file() else f'no file "{name}" in it'
         except (OSError, ValueError):  # an impossible file name
@@ -240,9 +238,8 @@ class Parameter:
 
 @dataclass
 class FmuPart:
-    """An FMU of the system: place, name in scenarios, file, FMI interface, and start values with their XML elements."""
+    """An FMU of the system: name in scenarios, file, FMI interface, and start values with their XML elements."""
 
-    place: Place
     name: str
     fmu: Path
     interface: str | None
@@ -314,15 +311,13 @@ class Reader:
     def value(self, typed: Element) -> Any:
         """Return a typed value; None for a faulty value, after recording the fault."""
         kind, text = typed.tag.partition(":")[2], typed.get("value")
-        if kind not in VALUE_TYPES:
-            self.note(typed, f"is not a type of a value{did_you_mean(kind, VALUE_TYPES[:-1])}")
-        elif text is None:
-            self.note(typed, "it has no value; add it. Arrays are not supported, bind their elements by name")
+        if kind not in VALUE_TYPES or text is None:
+            self.note(typed, "is not a known type with a value; arrays are not supported, bind their elements by name")
         elif kind in (*FLOAT_TYPES, *INTEGER_TYPES):
             number = self.number(typed, "value", None)
             if number is None or kind in FLOAT_TYPES:
                 return number
-            if number == int(number):
+            if number.is_integer():
                 return int(text) if text.strip().lstrip("+-").isdigit() else int(number)
             self.note(typed, f"value {format_value(text)}: use a whole number")
         elif kind == "Boolean" and text not in BOOLEANS:
@@ -461,7 +456,7 @@ class SspSystem(Reader):
         name = f"_{name}" if name[:1].isdigit() else name
         unique = unique_name(name, {part.name for part in self.parts.values()})
         interface = INTERFACE_KINDS.get(interface or "any")
-        self.parts[place] = FmuPart(place, unique, fmu, interface, element, description, variables)
+        self.parts[place] = FmuPart(unique, fmu, interface, element, description, variables)
         for (at, connector_name), connector in self.connectors.items():
             if at == place and connector_name not in variables and connector.kind in {"input", "output", "parameter"}:
                 hint = did_you_mean(connector_name, variables)
@@ -580,10 +575,8 @@ class SspSystem(Reader):
                 for end, hops in targets:
                     self.set_start(end, parameter, hops)
                 if not targets:
-                    own = () if place in self.parts else (n for at, n in self.connectors if at == place)
-                    hint = did_you_mean(parameter.name, chain(own, self.names(place)))
                     name = format_value(parameter.name)
-                    self.warn(parameter.element, f"parameter {name} matches no variable and is ignored{hint}")
+                    self.warn(parameter.element, f"parameter {name} matches no variable and is ignored")
 
     def targets(self, place: Place, name: str) -> Iterator[tuple[End, Sequence[Connection]]]:
         """Yield the FMU variables of a hierarchical name, with the connections from a system's connector to them."""
@@ -616,13 +609,6 @@ class SspSystem(Reader):
                 return
             value = value if factors == (1.0, 0.0) else value * factors[0] + factors[1]
         part.start[end[1]] = value, parameter.element
-
-    def names(self, place: Place) -> Iterator[str]:
-        """Yield the names of all variables in an element of the system, relative to it, such as `motor.speed`."""
-        if place in self.parts:
-            yield from self.parts[place].variables
-        for element in self.inner[place]:
-            yield from (f"{element}.{name}" for name in self.names((*place, element)))
 
     def parameters(self, element: Element) -> Iterator[Parameter]:
         """Yield the bound parameters of an element under their mapped names."""
@@ -674,8 +660,7 @@ class SspSystem(Reader):
                 continue
             found, linear = [value for value in values if value.name == source], self.linear(entry)
             if not found:
-                hint = did_you_mean(source, (value.name for value in values))
-                self.warn(entry, f"the parameter set has no {format_value(source)}{hint}")
+                self.warn(entry, f"the parameter set has no {format_value(source)}")
             for value in found:
                 if linear != LinearTransformation(exact=linear.exact) and isinstance(value.value, (bool, str)):
                     self.note(entry, f"a linear transformation of {format_value(value.value)}, which is not a number")

@@ -48,23 +48,7 @@ class SspFmu:
     start: Mapping[str, tuple[str, Value]] = field(default_factory=dict)
 
 
-@dataclass(frozen=True)
-class Whole:
-    """A system to write.
-
-    Attributes:
-        connections: (model, output), (model, input), and factor and offset between them.
-        start, stop, step: Times [s].
-    """
-
-    name: str
-    description: str
-    models: Sequence[SspFmu]
-    connections: Sequence[tuple[tuple[str, str], tuple[str, str], tuple[float, float]]]
-    units: Units
-    start: float
-    stop: float
-    step: float
+Connection = tuple[tuple[str, str], tuple[str, str], tuple[float, float]]  # of output and input, factor and offset
 
 
 def defined_units(used: Iterable[tuple[Any, str]]) -> Units:
@@ -81,18 +65,58 @@ def defined_units(used: Iterable[tuple[Any, str]]) -> Units:
     return units
 
 
-def write_ssp(path: Path, whole: Whole) -> Path:
-    """Write an SSP completely or not at all; equal systems give equal bytes."""
-    files = {model.name: f"{RESOURCES_FOLDER}/{model.name}.fmu" for model in whole.models}
-    members = {STRUCTURE: _xml(_description(whole, files))}
-    if any(model.start for model in whole.models):
-        start = _parameter_set((f"{m.name}.{name}", typed) for m in whole.models for name, typed in m.start.items())
+def write_ssp(
+    path: Path,
+    models: Sequence[SspFmu],
+    connections: Sequence[Connection],
+    units: Units,
+    times: tuple[float, float, float],
+    *,
+    name: str,
+    description: str,
+) -> Path:
+    """Write an SSP completely or not at all; equal systems give equal bytes.
+
+    Args:
+        times: Start, stop and communication step [s].
+    """
+    files = {model.name: f"{RESOURCES_FOLDER}/{model.name}.fmu" for model in models}
+    attributes = {"xmlns:osp": OSP, "name": name, "version": "1.0", "generationTool": f"cosim {__version__}"}
+    root = Element("ssd:SystemStructureDescription", _namespaces("ssd", "ssc", "ssv") | attributes)
+    system = SubElement(root, "ssd:System", name="system", description=description)
+    elements = SubElement(system, "ssd:Elements")
+    for model in models:
+        about = {"name": model.name, "type": FMU_TYPE, "source": files[model.name], "implementation": "CoSimulation"}
+        element = SubElement(elements, "ssd:Component", about)
+        connectors = SubElement(element, "ssd:Connectors") if model.ports else element
+        for port in model.ports:
+            connector = SubElement(connectors, "ssd:Connector", name=port.name, kind=port.kind)
+            SubElement(connector, f"ssc:{port.type}", {"unit": port.unit} if port.unit else {})
+        if model.start:
+            binding = SubElement(SubElement(element, "ssd:ParameterBindings"), "ssd:ParameterBinding")
+            SubElement(binding, "ssd:ParameterValues").append(_parameter_set(model.start.items()))
+    listed = SubElement(system, "ssd:Connections") if connections else system
+    for (begin, output), (end, target), (factor, offset) in connections:
+        ends = {"startElement": begin, "startConnector": output, "endElement": end, "endConnector": target}
+        if (factor, offset) == (1.0, 0.0):
+            SubElement(listed, "ssd:Connection", ends)
+            continue
+        # the transformation includes the conversion of units
+        connection = SubElement(listed, "ssd:Connection", {**ends, "suppressUnitConversion": "true"})
+        SubElement(connection, "ssc:LinearTransformation", factor=repr(factor), offset=repr(offset))
+    _write_units(root, "ssd:Units", units)
+    experiment = SubElement(root, "ssd:DefaultExperiment", startTime=repr(times[0]), stopTime=repr(times[1]))
+    annotation = SubElement(SubElement(experiment, "ssd:Annotations"), "ssc:Annotation", type=OSP_TYPE)
+    SubElement(SubElement(annotation, "osp:Algorithm"), "osp:FixedStepAlgorithm", baseStepSize=repr(times[2]))
+    members = {STRUCTURE: _xml(root)}
+    if any(model.start for model in models):
+        start = _parameter_set((f"{m.name}.{parameter}", value) for m in models for parameter, value in m.start.items())
         start.attrib |= _namespaces("ssv")
         members[f"{RESOURCES_FOLDER}/{START_FILE}.ssv"] = _xml(start)
-    members |= {files[model.name]: model.fmu.read_bytes() for model in whole.models}
+    members |= {files[model.name]: model.fmu.read_bytes() for model in models}
     with draft_of(path) as draft, zipfile.ZipFile(draft, "w", zipfile.ZIP_DEFLATED) as archive:
-        for name, data in members.items():
-            archive.writestr(zipfile.ZipInfo(name, ARCHIVE_DATE), data, zipfile.ZIP_DEFLATED)
+        for member, data in members.items():
+            archive.writestr(zipfile.ZipInfo(member, ARCHIVE_DATE), data, zipfile.ZIP_DEFLATED)
     return path
 
 
@@ -122,38 +146,6 @@ def _xml(root: Element) -> bytes:
 def _namespaces(*prefixes: str) -> dict[str, str]:
     """Return the XML attributes that declare namespaces."""
     return {f"xmlns:{prefix}": uri for uri, prefix in SSP_NAMESPACES.items() if prefix in prefixes}
-
-
-def _description(whole: Whole, files: Mapping[str, str]) -> Element:
-    attributes = {"xmlns:osp": OSP, "name": whole.name, "version": "1.0", "generationTool": f"cosim {__version__}"}
-    root = Element("ssd:SystemStructureDescription", _namespaces("ssd", "ssc", "ssv") | attributes)
-    system = SubElement(root, "ssd:System", name="system", description=whole.description)
-    elements = SubElement(system, "ssd:Elements")
-    for model in whole.models:
-        about = {"name": model.name, "type": FMU_TYPE, "source": files[model.name], "implementation": "CoSimulation"}
-        element = SubElement(elements, "ssd:Component", about)
-        connectors = SubElement(element, "ssd:Connectors") if model.ports else element
-        for port in model.ports:
-            connector = SubElement(connectors, "ssd:Connector", name=port.name, kind=port.kind)
-            SubElement(connector, f"ssc:{port.type}", {"unit": port.unit} if port.unit else {})
-        if model.start:
-            binding = SubElement(SubElement(element, "ssd:ParameterBindings"), "ssd:ParameterBinding")
-            SubElement(binding, "ssd:ParameterValues").append(_parameter_set(model.start.items()))
-    if whole.connections:
-        connections = SubElement(system, "ssd:Connections")
-        for (start, output), (end, target), (factor, offset) in whole.connections:
-            ends = {"startElement": start, "startConnector": output, "endElement": end, "endConnector": target}
-            if (factor, offset) == (1.0, 0.0):
-                SubElement(connections, "ssd:Connection", ends)
-                continue
-            # the transformation includes the conversion of units
-            connection = SubElement(connections, "ssd:Connection", {**ends, "suppressUnitConversion": "true"})
-            SubElement(connection, "ssc:LinearTransformation", factor=repr(factor), offset=repr(offset))
-    _write_units(root, "ssd:Units", whole.units)
-    experiment = SubElement(root, "ssd:DefaultExperiment", startTime=repr(whole.start), stopTime=repr(whole.stop))
-    annotation = SubElement(SubElement(experiment, "ssd:Annotations"), "ssc:Annotation", type=OSP_TYPE)
-    SubElement(SubElement(annotation, "osp:Algorithm"), "osp:FixedStepAlgorithm", baseStepSize=repr(whole.step))
-    return root
 
 
 def _write_units(root: Element, tag: str, definitions: Units) -> None:

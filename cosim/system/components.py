@@ -5,7 +5,7 @@ from __future__ import annotations
 from contextlib import suppress
 
 from cosim.blocks.component import Component
-from cosim.blocks.fixes import COUNT, Fixes, fix_outputs
+from cosim.blocks.fixes import Fixes, fix_outputs
 from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.sources import playback, reference
 from cosim.core.errors import FmuError, InputError
@@ -73,17 +73,11 @@ def _fixes(building: Building, name: str, component: FixComponent) -> Fixes | No
         signals[signal] = (about.unit, noise.variance, noise.bias) if noise else (about.unit, 0.0, 0.0)
     collisions = [n for n in signals if n in fix_outputs(signals)]
     for signal in collisions:
-        other = (
-            "the output with the number of fixes" if signal == COUNT else "an output with the fixes of another signal"
-        )
-        message = f'"{signal}" is already the name of {other}; rename the signal'
+        message = f'"{signal}" is already the name of an output; rename the signal'
         building.note(("components", name, "signals", signal), message)
     fastest = 1.0 / scenario.step
     if too_fast := component.rate > fastest * (1.0 + 1e-9):
-        message = (
-            f"rate is {component.rate:g} Hz, but communication points have {fastest:g} Hz; use at most "
-            f"{fastest:g} Hz, or a shorter step"
-        )
+        message = f"rate is {component.rate:g} Hz; use at most {fastest:g} Hz, one fix a step, or a shorter step"
         building.note(("components", name, "rate"), message)
     if too_fast or collisions:
         return None

@@ -44,16 +44,16 @@ class Control:
     is_per_second: bool
     shortest: float
     longest: float
-    nominal: tuple[float, ...] = ()
-    outputs: tuple[int, ...] = ()
-    bonds: tuple[PowerBond, ...] = ()
-    at_rows: frozenset[str] = frozenset()
-    rolls_back: bool = False
+    nominal: tuple[float, ...]
+    outputs: tuple[int, ...]
+    bonds: tuple[PowerBond, ...]
+    at_rows: frozenset[str]
+    rolls_back: bool
 
 
 def control_of(building: Building, transfers: Sequence[Transfer]) -> Control | None:
     """Return the step control; None for steps of equal length."""
-    scenario, components, layout = building.scenario, building.components, building.layout
+    scenario, components = building.scenario, building.components
     settings = scenario.control
     if not {scenario.extrapolate, scenario.interpolate} <= {None, "hold"}:
         for name, component in components.items():
@@ -75,40 +75,27 @@ def control_of(building: Building, transfers: Sequence[Transfer]) -> Control | N
         if block.changes_by_events or isinstance(block, EventFmu):
             continue
         if not takes_any_step(block.description) or sampled_by(block.path) is not None:
-            message = (
-                f"{name} accepts only one step length, so its steps cannot be controlled; set a step for this "
-                f"component (components.{name}.step)"
-            )
+            message = f"{name} accepts only one step length; set a step for it (components.{name}.step)"
             building.note(("components", name), message)
     obstacle = rollback_obstacle(controlled)
     if settings.estimator == "halving" and obstacle:
         message = f"estimator: halving is not possible: {obstacle}; remove estimator, or set it to residual"
         building.note(("step", "estimator"), message)
-    owners = [(building.blocks.get(name), variable) for name, _, variable in (c.partition(".") for c in layout.columns)]
-    nominal = [1.0 if owner is None else owner.nominal(variable) for owner, variable in owners]
+    every, ends_of = building.blocks, (column.partition(".") for column in building.columns)
+    nominal = [every[name].nominal(variable) if name in every else 1.0 for name, _, variable in ends_of]
     real = ((name, s.name) for name, block in blocks.items() for s in block.outputs if not (s.local or s.is_whole))
-    outputs = [layout.place[f"{name}.{output}"][1] for name, output in real]
-    by_source: dict[str, list[Transfer]] = {}
-    for transfer in transfers:
-        by_source.setdefault(layout.columns[transfer.source] if not transfer.beside[0] else "", []).append(transfer)
+    outputs = [building.place[f"{name}.{output}"][1] for name, output in real]
     bonds = []
     for k, bond in enumerate(settings.bonds):
         ends: list[tuple[int, int]] = []  # (index of the output, index of the input) of each bond's connections
         for side, output, other in (("effort", bond.effort, bond.flow), ("flow", bond.flow, bond.effort)):
             owner = other.partition(".")[0]
-            found = next((t for t in by_source.get(output, ()) if t.name.partition(".")[0] == owner), None)
-            message = ""
-            if output not in by_source:
-                message = f'no connected output "{output}"{did_you_mean(output, by_source)}'
-            elif found is None:
-                message = f"{output} is not connected to {owner}, the other side of the bond"
-            elif (found.factor, found.offset) != (1.0, 0.0):
-                message = (
-                    f"{output} is converted on the connection to {found.name}; a bond needs equal units on both sides"
-                )
+            found = [t for t in transfers if t.origin == output and t.name.partition(".")[0] == owner]
+            if found and (found[0].factor, found[0].offset) == (1.0, 0.0):
+                ends.append((found[0].source, found[0].target))
             else:
-                ends.append((found.source, found.target))
-            if message:
+                hint = did_you_mean(output, {t.origin for t in transfers})
+                message = f'no output "{output}" with a connection to {owner} without conversion of units{hint}'
                 building.note(("step", "bonds", k, side), message)
         if len(ends) == 2:
             power = nominal[ends[0][0]] * nominal[ends[1][0]]

@@ -36,17 +36,12 @@ def event_block(building: Building, name: str, component: FmuComponent, path: Pa
     uses = way == "scheduled-execution" or (wanted and has_event_mode(description, way))
     if not uses:
         if component.event_mode:
-            reason = "its FMU declares none (hasEventMode)"
-            if not description.fmiVersion.startswith("3") or way != "co-simulation":
-                version = f"FMI {description.fmiVersion} for {way}"
-                reason = f"it runs as {version}; event mode needs FMI 3.0 for co-simulation"
-            building.note(("components", name, "event_mode"), f"{name} has no event mode: {reason}")
+            message = f"{name} has no event mode, which needs FMI 3.0, co-simulation and the capability hasEventMode"
+            building.note(("components", name, "event_mode"), message)
             return None
         if component.clocks:
-            message = f"{name} has no clocks; remove clocks:"
-            if clocks:
-                message = f"the clocks of {name} need event mode; remove event_mode: false"
-            building.note(("components", name, "clocks"), message)
+            cure = "remove event_mode: false" if clocks else "remove clocks:"
+            building.note(("components", name, "clocks"), f"{name} has no clocks without event mode; {cure}")
         return FmuBlock
     timings = {}
     for clock_name, timing in component.clocks.items():
@@ -57,13 +52,11 @@ def event_block(building: Building, name: str, component: FmuComponent, path: Pa
         elif full_name in scenario.targets:
             message = f"{full_name} has both times in the scenario and a connection; keep one"
         elif clock.kind == "constant" or (clock.kind != "triggered" and clock.interval is None):
-            what = f"{full_name} is a {clock.kind} clock, whose times the FMU specifies"
-            message = f"{what}; remove its times from the scenario"
-        elif clock.kind in PERIODIC and (timing.at or timing.shift is not None):
-            what = f"{full_name} is a {clock.kind} clock: give its interval only"
-            message = f"{what}; only triggered clocks have shift: and at:"
-        elif bool(timing.at) == (timing.interval is not None):
-            message = f"{full_name} needs either interval: or at:"
+            message = f"the FMU specifies the times of {full_name}; remove them from the scenario"
+        elif bool(timing.at) == (timing.interval is not None) or (
+            clock.kind in PERIODIC and (timing.at or timing.shift is not None)
+        ):
+            message = f"{full_name} is a {clock.kind} clock; give its interval, or for a triggered clock at:"
         elif timing.at != sorted(set(timing.at)) or (timing.at and timing.at[0] < scenario.start_time):
             message = f"the times of {full_name} must increase and not precede the start of the run"
         else:
@@ -105,7 +98,7 @@ def is_exchange(component: Any) -> bool:
     return isinstance(component, FmuBlock) and isinstance(component.instance, ModelExchange)
 
 
-def takes_part_of_step(stage: Stage, loops: Sequence[Loop] = ()) -> bool:
+def takes_part_of_step(stage: Stage, loops: Sequence[Loop]) -> bool:
     """Return True if a component can end a step at any event; components of an algebraic loop cannot."""
     component = stage.component
     if any(component.name in loop.members for loop in loops):
@@ -128,13 +121,11 @@ def clock_interval(block: FmuBlock | None, target: str, value: Any) -> Any:
     clock = block.clocks.get(target.partition(".")[2]) if isinstance(block, EventFmu) else None
     if clock is None:
         return None
-    if clock.kind != "tunable" or clock.interval is None:
-        reason = "is a clock with a fixed interval; only a tunable clock with intervalDecimal can be set"
-        raise ValueError(f"{target} {reason}")
     with suppress(ValueError):
         value = read_quantity(value, "s") if isinstance(value, str) else value
-    if isinstance(value, bool) or not isinstance(value, int | float) or not value > 0:
-        raise ValueError(f"{target} is {value!r}; give a clock interval above 0 s")
+    is_time = isinstance(value, int | float) and not isinstance(value, bool) and value > 0
+    if clock.kind != "tunable" or clock.interval is None or not is_time:
+        raise ValueError(f"{target} is {value!r}; give a tunable clock with intervalDecimal, and a time above 0 s")
     return float(value)
 
 
@@ -147,13 +138,10 @@ def check_events(building: Building, plan: Schedule, apart: Collection[str]) -> 
     events = [stage.component for stage in plan.stages if isinstance(stage.component, EventFmu)]
     if not events:
         return
-    loops = {name: loop.name for loop in plan.loops for name in loop.members}
     for stage in plan.stages:
         name, reason = stage.component.name, ""
-        if name in loops:
-            reason = f"is part of the algebraic loop {loops[name]}"
-        elif not takes_part_of_step(stage):
-            reason = "accepts only one step length"
+        if not takes_part_of_step(stage, plan.loops):
+            reason = "accepts only one step length or is part of an algebraic loop"
         elif name in apart and is_exchange(stage.component):
             reason = "uses model exchange in a process of its own"
         if reason:
@@ -253,17 +241,11 @@ class Targets:
     def variable(self, target: str) -> Any:
         """Return the variable `component.variable`; raise ValueError if it cannot be set during a run."""
         name, _, variable_name = target.partition(".")
-        description = self._descriptions.get(name)
-        if description is None:
-            raise ValueError(f'no FMU "{name}" among the components{did_you_mean(name, self._descriptions)}')
-        variables = self._variables[name]
-        variable = variables.get(variable_name)
-        if variable is None:
-            hint = did_you_mean(variable_name, [n for n, v in variables.items() if _is_changeable(v)])
-            raise ValueError(f'{name} has no variable "{variable_name}"{hint}')
-        if not _is_changeable(variable):
-            kind = f"{variable.variability} {variable.causality}"
-            raise ValueError(f"{target} is a {kind}; only inputs and tunable parameters can change during a run")
+        variable = self._variables.get(name, {}).get(variable_name)
+        if variable is None or not _is_changeable(variable):
+            every = (f"{n}.{v.name}" for n, own in self._variables.items() for v in own.values() if _is_changeable(v))
+            hint = did_you_mean(target, every)
+            raise ValueError(f"{target} is no input or tunable parameter of an FMU, so it cannot change in a run{hint}")
         if self._is_connected(target):
             raise ValueError(f"{target} is connected to an output; use faults: to disturb its value")
         return variable

@@ -6,19 +6,16 @@ values or outcomes of criteria.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from cosim.blocks.fmu import FmuBlock
 from cosim.core.arrays import Array, Rows
-from cosim.core.messages import Note
-from cosim.core.registry import page_for
 from cosim.core.text import did_you_mean, join_names
 from cosim.files.results import Results
 from cosim.fmi.description import matches
-from cosim.scenario.scenario import Recording, Scenario
+from cosim.scenario.scenario import Recording
 from cosim.system.wiring import Building
 
 
@@ -50,7 +47,7 @@ def take_signals(part: RecordedPart | None, results: Results) -> Results:
 
 def recorded_part(building: Building) -> RecordedPart | None:
     """Return the recorded part of a run; None for all signals in every row. Faults of the key `record` are added."""
-    scenario, layout, record = building.scenario, building.layout, building.scenario.record
+    scenario, record = building.scenario, building.scenario.record
     place = ("record", "signals") if isinstance(record, Recording) else ("record",)
     for k, pattern in enumerate(scenario.recorded):
         if objection := _objection(building, pattern):
@@ -60,38 +57,9 @@ def recorded_part(building: Building) -> RecordedPart | None:
     steps = 1 if record.every is None else round(record.every / scenario.step)
     columns, beside = (
         tuple(k for k, c in enumerate(names) if record.signals is None or any(_is_meant(p, c) for p in record.signals))
-        for names in (layout.columns, layout.beside)
+        for names in (building.columns, building.beside)
     )
     return RecordedPart(columns, beside, max(1, steps))
-
-
-def recording_notes(scenario: Scenario, columns: Sequence[str], part: RecordedPart | None) -> list[str]:
-    """Return notes on charts that the report omits because signals are not recorded."""
-    if part is None or len(part.columns) == len(columns):
-        return []
-    recorded = {columns[k] for k in part.columns}
-    ends = [(c.source, c.target) for c in scenario.connections]
-    lost = [f"{s} → {t}" for s, t in ends if {s, t} <= set(columns) and not {s, t} <= recorded]
-    notes: list[str] = []
-    if lost:
-        notes.append(
-            Note(
-                f"{len(recorded)} of {len(columns)} signals are recorded; the report has no chart of the connections "
-                f"{join_names(lost)}"
-            )
-        )
-    if page_for(_variables(columns)) is not None and page_for(_variables(recorded)) is None:
-        notes.append(Note("some signals of the component sections are not recorded; the report shows the others only"))
-    return notes
-
-
-def _variables(columns: Sequence[str] | set[str]) -> list[set[str]]:
-    """Return a set of recorded variables for each component."""
-    by_component: dict[str, set[str]] = {}
-    for column in columns:
-        component, _, variable = column.partition(".")
-        by_component.setdefault(component, set()).add(variable)
-    return [*by_component.values()]
 
 
 def _is_meant(pattern: str, column: str) -> bool:
@@ -101,24 +69,20 @@ def _is_meant(pattern: str, column: str) -> bool:
 
 
 def _objection(building: Building, pattern: str) -> str | None:
-    """Return why a pattern matches no signal, with similar names; None if its component has a fault."""
-    scenario, components, layout = building.scenario, building.components, building.layout
-    name, is_pattern = pattern.partition(".")[0], "*" in pattern.partition(".")[0]
-    columns = (*layout.columns, *layout.beside)
+    """Return why a pattern matches no signal, with similar names; None if it matches or its component has a fault."""
+    scenario, components = building.scenario, building.components
+    columns, name = [*building.columns, *building.beside], pattern.partition(".")[0]
     if any(_is_meant(pattern, column) for column in columns):
         return None
-    if not is_pattern and name not in scenario.components:
-        hint = did_you_mean(name, scenario.components)
-        return f'no component "{name}"{hint}; write component.* or component.variable'
+    if "*" not in name and name not in scenario.components:
+        return (
+            f'no component "{name}"{did_you_mean(name, scenario.components)}; write component.* or component.variable'
+        )
     # The signal may belong to a component with a fault.
-    if not ({*scenario.components} if is_pattern else {name}) <= {*components}:
+    if not ({*scenario.components} if "*" in name else {name}) <= {*components}:
         return None
-    others = [column for column in columns if column.startswith("" if is_pattern else f"{name}.")]
+    others = columns if "*" in name else [column for column in columns if column.startswith(f"{name}.")]
     if isinstance(component := components.get(name), FmuBlock):
-        variables = {f"{name}.{v.name}": v.causality for v in component.description.modelVariables}
-        if variables.get(pattern) == "independent":
-            return f"{pattern} is always recorded as the first column; remove it"
-        others += [full for full, causality in variables.items() if causality != "independent"]
+        others += [f"{name}.{v.name}" for v in component.description.modelVariables if v.causality != "independent"]
     near = did_you_mean(pattern.replace("*", ""), others)
-    hint = near or f"; there are {join_names(others) or 'none'}"
-    return f'no signal matches "{pattern}"{hint}'
+    return f'no signal matches "{pattern}"{near or f"; there are {join_names(others)}"}'

@@ -6,7 +6,7 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
-from cosim.blocks.component import Component, Signal
+from cosim.blocks.component import Component
 from cosim.blocks.coupling import DEFAULT, WITHOUT_ORDER, AlgebraicLoop, Assumption, Edge, Plan, algorithms
 from cosim.blocks.event_mode import EventFmu
 from cosim.blocks.fixes import Fixes
@@ -14,9 +14,9 @@ from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.shared_code import code_of
 from cosim.blocks.sources import SourceBlock
 from cosim.core.messages import CheckNote, Note
-from cosim.core.text import did_you_mean, join_names
+from cosim.core.text import join_names
 from cosim.core.times import steps_in
-from cosim.scenario.scenario_file import Place
+from cosim.scenario.scenario import Place
 from cosim.system.wiring import Building, Components, Transfer
 
 FEEDTHROUGH = "feedthrough"  # key of a component in the scenario
@@ -162,15 +162,9 @@ class _Graph:
         for loop in self.sort_transfers(plan)[-1]:
             if loop.members in solved:
                 continue
-            fmus = [c for c in map(self.components.get, loop.members) if isinstance(c, FmuBlock)]
-            names = [fmu.name for fmu in fmus if not (fmu.changes_by_events or fmu.rolls_back)]
-            cure = f"to solve it, add loops: {{}} and remove {key}"
-            if assumptions:
-                cure = "; ".join(assumptions)
-            elif (fault := next((fault for _, fault in self.faults(loop)), None)) is not None:
-                cure = f"loops: {{}} without {key} is not possible: {fault}"
-            elif names:
-                cure += f" and {join_names(names)} cannot save a state but may have direct feedthrough"
+            cure = "; ".join(assumptions) or f"to solve it, add loops: {{}} and remove {key}"
+            if not assumptions and (faults := [fault for _, fault in self.faults(loop)]):
+                cure = f"loops: {{}} without {key} is not possible: {faults[0]}"
             sentence = (
                 f"{loop.name} may be an algebraic loop. It is not solved because of {key}, so some inputs have the "
                 f"values of the previous step; {cure}"
@@ -185,29 +179,20 @@ class _Graph:
     def faults(self, loop: Loop) -> Iterator[tuple[Place, str]]:
         """Yield the faults of a loop that cannot be solved, with their places in the scenario."""
         has_events = any(isinstance(component, EventFmu) for component in self.components.values())
+        part = f"part of the algebraic loop {loop.name}"
+        order = "set order: [...], so that the loop is not solved"
         for name in loop.members:
-            component, part = self.components[name], f"{name} is part of the algebraic loop {loop.name}"
-            order = "set order: [...], so that the loop is not solved"
-            if isinstance(component, EventFmu):
-                cure = f"set event_mode: false, or {order}"
-                yield ("components", name), f"{part} and uses event mode, in which it cannot be solved; {cure}"
-            elif has_events and getattr(component, "changes_by_events", False):
-                cure = f"choose interface: co-simulation, or {order}"
-                yield ("components", name), f"{part} and uses model exchange together with an FMU in event mode; {cure}"
+            component = self.components[name]
+            if isinstance(component, EventFmu) or (has_events and getattr(component, "changes_by_events", False)):
+                cure = f"set event_mode: false or interface: co-simulation, or {order}"
+                yield ("components", name), f"{name} is {part}, which cannot be solved at events; {cure}"
             if self.every[name] > 1:
-                fault = f"{name} has its own step and is part of the algebraic loop {loop.name}"
-                yield ("components", name, "step"), f"{fault}; remove its step"
+                yield ("components", name, "step"), f"{name} has its own step and is {part}; remove its step"
         for transfer in loop.transfers:
             name, _, variable = transfer.name.partition(".")
-            signals = (*self.components[name].inputs, *self.components[name].exact_inputs)
-            signal = next((signal for signal in signals if signal.name == variable), Signal(variable))
-            if any(transfer.beside) or signal.is_whole:
-                fault = (
-                    f"{transfer.name} is part of an algebraic loop, but has the type {signal.kind}; only reals can be "
-                    "solved."
-                )
-                cure = "Set order: [...], so that it has the value of the previous step"
-                yield ("connections",), f"{fault} {cure}"
+            wholes = {signal.name for signal in self.components[name].inputs if signal.is_whole}
+            if any(transfer.beside) or variable in wholes:
+                yield ("connections",), f"{transfer.name} is {part}, in which only reals can be solved; {order}"
 
 
 def schedule(building: Building, transfers: Sequence[Sequence[Transfer]], interpolates: bool) -> Schedule:
@@ -229,21 +214,14 @@ def schedule(building: Building, transfers: Sequence[Sequence[Transfer]], interp
     order = scenario.order if algorithm.sequential else None
     if order is not None:  # the order names each component with inputs exactly once
         missing = sorted(name for name in components.keys() - set(order) if components[name].inputs)
-        unknown = [name for name in order if name not in components]
-        for name in unknown:
-            building.note(("order",), f'no component "{name}"{did_you_mean(name, components)}')
-        if is_wrong := missing or len(set(order)) != len(order):
-            left_out = ", ".join(missing) or "none"
-            building.note(("order",), f"order must name every component with inputs once; missing: {left_out}")
-        if unknown or is_wrong:
+        unknown = sorted(set(order) - components.keys())
+        if missing or unknown or len(set(order)) != len(order):
+            parts = f"missing: {', '.join(missing) or 'none'}; unknown: {', '.join(unknown) or 'none'}"
+            building.note(("order",), f"order must name every component with inputs once; {parts}")
             return Schedule()
-    if scenario.loops is not None and not algorithm.solves_loops:
-        message = f"{algorithm.name} cannot solve algebraic loops; remove loops, or set algorithm: {DEFAULT.name}"
-        building.note(("loops",), message)
-        return Schedule()
-    if scenario.loops is not None and order is not None:
-        message = "order uses values of the previous step, loops solves for simultaneous values; remove one of them"
-        building.note(("order",), message)
+    if scenario.loops is not None and (order is not None or not algorithm.solves_loops):
+        what = f"algorithm: {algorithm.name}" if order is None else "order"
+        building.note(("loops",), f"{what} does not solve algebraic loops; remove it, or remove loops")
         return Schedule()
     try:
         plan = algorithm.plan_with_loops(components, graph.edges, order, undeclared=scenario.loops is not None)
@@ -291,14 +269,11 @@ def _every(building: Building, name: str) -> int:
         return 1
     count = steps_in(step, scenario.step)
     every = max(1, round(count))
-    if round(count) < 1 or abs(count - every) > 1e-9 * count:
+    if round(count) < 1 or abs(count - every) > 1e-9 * count or every > scenario.steps:
         message = (
-            f"step is {step:g} s, the step of the scenario {scenario.step:g} s; use a whole multiple, "
-            f"{every * scenario.step:g} s for example"
+            f"step is {step:g} s; use a whole multiple of the step of the scenario, {scenario.step:g} s, not longer "
+            f"than the run of {scenario.duration:g} s"
         )
-        building.note(("components", name, "step"), message)
-    elif every > scenario.steps:
-        message = f"step is {step:g} s, longer than the run of {scenario.duration:g} s; use a shorter step"
         building.note(("components", name, "step"), message)
     elif rest := scenario.steps % every:
         message = (

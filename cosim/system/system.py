@@ -27,7 +27,7 @@ from cosim.credibility.found import Found, read_credibility
 from cosim.fmi.annotations import sampled_by
 from cosim.fmi.description import display_units
 from cosim.scenario.scenario import LoopSettings
-from cosim.scenario.scenario_file import Place, ScenarioFile
+from cosim.scenario.scenario_file import ScenarioFile
 from cosim.system.components import build_components
 from cosim.system.control import Control, control_of
 from cosim.system.events import Events, changes_of, check_events
@@ -153,7 +153,7 @@ def build_system(file: ScenarioFile) -> System:
     building, scenario = Building(file), file.scenario
     build_components(building)
     building.lay_out()
-    components, layout, blocks = building.components, building.layout, building.blocks
+    components, blocks = building.components, building.blocks
     is_whole = len(components) == len(scenario.components) and not file.broken
     transfers = connect(building)
     of_aliases = alias_transfers(building, transfers)
@@ -168,25 +168,21 @@ def build_system(file: ScenarioFile) -> System:
     _check_sampling(building)
     recording = recorded_part(building)
     if is_whole:
-        recorded = layout.columns if recording is None else {layout.columns[k] for k in recording.columns}
-        for kind, k, criterion in scenario.goals:
-            where: Place = ("criteria", kind, *(() if k is None else (k,)))
+        recorded = building.columns if recording is None else {building.columns[k] for k in recording.columns}
+        for _, where, criterion in scenario.goals:
             for key, signal in (("of", criterion.of), ("to", criterion.to)):
                 if not isinstance(signal, str) or signal in recorded:
                     continue
                 message = f"{signal} is not recorded, but a criterion needs it; add it to record: signals"
-                if signal not in layout.columns:
-                    message = f'no signal "{signal}"{did_you_mean(signal, layout.columns)}'
+                if signal not in building.columns:
+                    message = f'no signal "{signal}"{did_you_mean(signal, building.columns)}'
                 building.note((*where, key), message)
-    for kind, k, goal in scenario.valid_goals:
-        place: Place = ("criteria", kind, *(() if k is None else (k,)), "of")
-        if goal.of not in scenario.components:
-            building.note(place, f'no component "{goal.of}"{did_you_mean(goal.of, scenario.components)}')
-        elif goal.of in components:
-            found = read_credibility(blocks[goal.of].path) if goal.of in blocks else Found(None)
-            if found.record is None:
-                reason = found.problem or "it has no record of credibility"
-                building.note(place, f"{goal.of}: {reason}; name an FMU of `cosim refine` or `cosim fit`")
+    for _, where, goal in scenario.valid_goals:
+        found = read_credibility(blocks[goal.of].path) if goal.of in blocks else Found(None)
+        if found.record is None and (goal.of in components or goal.of not in scenario.components):
+            reason = found.problem or "no FMU with a record of credibility"
+            cure = f"name an FMU of `cosim refine` or `cosim fit`{did_you_mean(goal.of, blocks)}"
+            building.note((*where, "of"), f"{goal.of}: {reason}; {cure}")
     is_connected = is_whole and all(transfers)
     has_events = any(isinstance(component, EventFmu) for component in components.values())
     courses = (0, 0) if has_events else scenario.courses  # with event mode, inputs are constant during a step
@@ -196,7 +192,7 @@ def build_system(file: ScenarioFile) -> System:
     control = control_of(building, list(chain.from_iterable(transfers)))
     events = changes_of(building)
     display = dict[str, Any](display_units(block.description for block in blocks.values()))
-    definitions = {signal.unit: signal.definition for signal in layout.signals.values() if signal.definition}
+    definitions = {signal.unit: signal.definition for signal in building.signals.values() if signal.definition}
     for unit, name in scenario.display.items():
         if not name or (shown := conversion(unit, name, definitions=definitions)) is None:
             message = f"the display unit {name} of {unit} is unknown or has another dimension"
@@ -214,14 +210,14 @@ def build_system(file: ScenarioFile) -> System:
     scheduled = {**vars(plan), "held": (*plan.held, *of_aliases)}
     return System(
         **scheduled,
-        columns=layout.columns,
-        units=layout.units,
+        columns=building.columns,
+        units={column: building.signals[column].unit for column in building.columns},
         seed=scenario.seed,
         start=scenario.start_time,
         warnings=warnings,
         fmus={name: (block.path, block.description) for name, block in blocks.items()},
-        beside=layout.beside,
-        signals=layout.signals,
+        beside=building.beside,
+        signals=building.signals,
         events=events,
         apart=scenario.isolated | separated,
         solving=scenario.loops,

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from array import array
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cache, cached_property
+from functools import cache, cached_property, partial
 from itertools import islice
 from typing import Any
+
+import numpy as np
 
 from cosim.blocks.component import Component, Signal
 from cosim.blocks.faults import LinkFunction, fault_function, gaussian, points, stream
@@ -28,8 +30,9 @@ from cosim.scenario.scenario import (
     FixComponent,
     FmuComponent,
     Noise,
+    Place,
 )
-from cosim.scenario.scenario_file import Place, ScenarioFile
+from cosim.scenario.scenario_file import ScenarioFile
 
 Components = Mapping[str, Component]
 MAX_NAMED_SIGNALS = 20  # signals shown in a message
@@ -37,35 +40,22 @@ MAX_MESSAGE_CHARACTERS = 2000
 PASSING = {"freeze", "dropout", "delay"}  # faults that pass values of any type unchanged
 
 
-@dataclass(frozen=True)
-class RowLayout:
-    """Indices of signals: component after component, inputs before outputs, in the row of doubles or beside the row.
-
-    Attributes:
-        columns: Names `component.variable` by index in the row.
-        units: Column → unit, "" without unit.
-        beside: Names, like `columns`, of values that doubles cannot represent exactly.
-        place: Column → (True if beside the row, index in or beside the row).
-        signals: Column → signal.
-    """
-
-    columns: tuple[str, ...]
-    units: Mapping[str, str]
-    beside: tuple[str, ...]
-    place: Mapping[str, tuple[bool, int]]
-    signals: Mapping[str, Signal]
-
-
 class Building:
     """A system under construction. Faults and warnings are collected and reported all at once, faults of form first.
 
     Attributes:
         components: Components without faults by name, in file order.
-        layout: Indices of the components' signals.
+        columns: Names `component.variable` by index in the row: component after component, inputs before outputs.
+        beside: Names, like `columns`, of values that doubles cannot represent exactly.
+        place: Column → (True if beside the row, index in or beside the row).
+        signals: Column → signal.
         describe: Function that returns the model description of an FMU, which several components may use.
     """
 
-    layout: RowLayout
+    columns: tuple[str, ...]
+    beside: tuple[str, ...]
+    place: Mapping[str, tuple[bool, int]]
+    signals: Mapping[str, Signal]
 
     def __init__(self, file: ScenarioFile) -> None:
         self.file, self.scenario, self.components = file, file.scenario, dict[str, Component]()
@@ -88,9 +78,8 @@ class Building:
         for name, component in self.components.items():
             row |= {f"{name}.{s.name}": s for s in (*component.inputs, *component.outputs)}
             beside |= {f"{name}.{s.name}": s for s in (*component.exact_inputs, *component.exact_outputs)}
-        units = {column: signal.unit for column, signal in row.items()}
-        place = {c: (aside, k) for aside, part in ((False, row), (True, beside)) for k, c in enumerate(part)}
-        self.layout = RowLayout(tuple(row), units, tuple(beside), place, row | beside)
+        self.columns, self.beside, self.signals = tuple(row), tuple(beside), row | beside
+        self.place = {c: (aside, k) for aside, part in ((False, row), (True, beside)) for k, c in enumerate(part)}
 
     @cached_property
     def connected(self) -> dict[str, frozenset[str]]:
@@ -176,15 +165,58 @@ class _Checked(LinkFunction):
         return v
 
 
-def through(chain: Sequence[LinkFunction]) -> Callable[[int, Any], Any]:
-    """Return a function of (point, value) that applies all functions of a chain one after another."""
+Copies = Callable[[int], None]  # function that makes the copies of a communication point
 
-    def value(k: int, v: Any) -> Any:
-        for one in chain:
-            v = one(k, v)
-        return v
 
-    return chain[0] if len(chain) == 1 else value
+class Copying:
+    """Transfers of a run with sensor noise and injected faults, prepared once.
+
+    Attributes:
+        links: Name of a transfer → noise and faults that change its value.
+        functions: Name of a transfer → function of (point, value) that applies them.
+
+    Args:
+        row, beside: Signals of the run.
+        grid: Seed, start [s], communication step [s], and number of communication points.
+    """
+
+    def __init__(self, row: Any, beside: list[Any], grid: tuple[int, float, float, int]) -> None:
+        self._row, self._beside, self._grid = row, beside, grid
+        self._values = np.ctypeslib.as_array(row)
+        self.links: dict[str, Sequence[LinkFunction]] = {}
+        self.functions: dict[str, Callable[[int, Any], Any]] = {}
+
+    def of(self, transfers: Iterable[Transfer]) -> Copies:
+        """Return a function that makes transfers: all plain copies within the row at once, then the others."""
+        sources, targets = list[int](), list[int]()  # of plain copies
+        others: list[tuple[Any, int, Any, int, Callable[[int, Any], Any]]] = []  # from a place to a place by a function
+        for transfer in transfers:
+            if transfer.name not in self.links:
+                chain = self.links[transfer.name] = transfer.through(*self._grid)
+                self.functions[transfer.name] = chain[0] if len(chain) == 1 else partial(_apply, chain)
+            source, target = transfer.source, transfer.target
+            if self.links[transfer.name] or any(transfer.beside):
+                origin, goal = (self._beside if beside else self._row for beside in transfer.beside)
+                others.append((origin, source, goal, target, self.functions[transfer.name]))
+            else:
+                sources.append(source)
+                targets.append(target)
+        values, from_, to = self._values, np.array(sources, np.intp), np.array(targets, np.intp)
+
+        def copy(k: int) -> None:
+            if sources:
+                values[to] = values[from_]
+            for origin, source, goal, target, function in others:
+                goal[target] = function(k, origin[source])
+
+        return copy
+
+
+def _apply(chain: Sequence[LinkFunction], k: int, value: Any) -> Any:
+    """Return the value at point k after all functions of a chain."""
+    for function in chain:
+        value = function(k, value)
+    return value
 
 
 def connect(building: Building) -> list[tuple[Transfer, ...]]:
@@ -215,7 +247,6 @@ def alias_transfers(building: Building, connections: Sequence[Sequence[Transfer]
     """
     fed = {t.name: (t, k) for k, transfers in enumerate(connections) for t in transfers}
     found: dict[str, Transfer] = {}
-    layout = building.layout
     for owner, block in building.blocks.items():
         for name, others in input_aliases(block.description).items():
             transfer, k = fed.get(f"{owner}.{name}", (None, 0))
@@ -223,9 +254,9 @@ def alias_transfers(building: Building, connections: Sequence[Sequence[Transfer]
                 continue
             for other, is_negative in others.items():
                 full = f"{owner}.{other}"
-                if full not in fed and full in layout.place:
-                    aside, place = layout.place[full]
-                    sign = (-1.0, negative(layout.signals[full].kind, 0.0)) if is_negative else (1.0, 0.0)
+                if full not in fed and full in building.place:
+                    aside, place = building.place[full]
+                    sign = (-1.0, negative(building.signals[full].kind, 0.0)) if is_negative else (1.0, 0.0)
                     sides = transfer.beside[0], aside
                     found[full] = replace(transfer, target=place, name=full, beside=sides, of=transfer.name, sign=sign)
                 elif full in fed and fed[full][1] < k and (is_negative or fed[full][0].origin != transfer.origin):
@@ -235,24 +266,6 @@ def alias_transfers(building: Building, connections: Sequence[Sequence[Transfer]
                         f"and {fed[full][0].origin}; keep one",
                     )
     return tuple(found.values())
-
-
-def _objection(connection: Connection, source: Signal, target: Signal) -> str:
-    """Return why two signals cannot be connected; "" if they can."""
-    ends = f"{connection.source} is {source.kind or 'a number'}, {connection.target} is {target.kind}"
-    if not is_compatible(source.kind, target.kind):
-        return f"types do not agree: {ends}; connect equal types"
-    if source.declared and source.declared == target.declared and source.items != target.items:
-        return (
-            f"enumerations {source.declared} with different items: {connection.source} has "
-            f"{_numbers(source.items)}, {connection.target} has {_numbers(target.items)}"
-        )
-    if connection.conversion is None and source.conversion(target) is None:
-        reason = f"unit mismatch: {connection.source} [{source.unit}] to {connection.target} [{target.unit}]"
-        if source.unit == target.unit:
-            reason += ", which their FMUs define with different dimensions"
-        return f"{reason}. To pass the number unchanged, add factor: 1"
-    return ""
 
 
 def _transfers(
@@ -269,44 +282,45 @@ def _transfers(
         (connection.target, "inputs", "outputs", "to"),
     ):
         name, _, variable = text.partition(".")
-        where, component = ("connections", k, key), building.components.get(name)
-        if text in ends[side] and name not in building.file.broken:
+        where, declared = ("connections", k, key), building.scenario.components
+        if name in building.file.broken or (name in declared and name not in building.components):
+            continue  # another check reports the fault of this component
+        if text in ends[side]:
             found.append(ends[side][text])
-        elif name not in building.scenario.components and name not in building.file.broken:
-            building.note(where, f'no component "{name}"{did_you_mean(name, building.scenario.components)}')
-        elif component is None or name in building.file.broken:
-            pass  # another check reports the fault of this component
+        elif name not in declared:
+            building.note(where, f'no component "{name}"{did_you_mean(name, declared)}')
         elif text in ends[other]:
             building.note(where, f"{text} is one of the {other} of {name}; connect an output to an input")
-        elif any(s.local and s.name == variable for s in _signals(component, side)):
-            building.note(where, f"{text} is a local variable of {name}, not an output; connect an output to an input")
         else:
             names = [end.partition(".")[2] for end in ends[side] if end.startswith(f"{name}.")]
             hint = did_you_mean(variable, names)
             building.note(where, f'{name} has no {side[:-1]} "{variable}"{hint} (its {side}: {_some(names)})')
-    if len(found) < 2:
-        return ()
-    sources, targets = found
-    try:
-        if len(sources) != len(targets):
-            text = f"{connection.source} to {connection.target}"
-            raise ValueError(
-                f"{text}: {len(sources)} values cannot be connected to {len(targets)}; connect equal sizes"
-            )
-        return tuple(_transfer(building, connection, *pair) for pair in zip(sources, targets, strict=True))
-    except ValueError as error:
-        building.note(("connections", k), str(error))
-        return ()
+    if len(found) == 2:
+        sources, targets = found
+        try:
+            if len(sources) != len(targets):
+                raise ValueError(f"{len(sources)} values cannot be connected to {len(targets)}; connect equal sizes")
+            return tuple(_transfer(building, connection, *pair) for pair in zip(sources, targets, strict=True))
+        except ValueError as error:
+            building.note(("connections", k), str(error))
+    return ()
 
 
 def _transfer(building: Building, connection: Connection, source: Signal, target: Signal) -> Transfer:
     """Return the transfer between two signals; raise ValueError if they cannot be connected."""
-    if objection := _objection(connection, source, target):
-        raise ValueError(objection)
     scenario, ends = building.scenario, f"{connection.source} to {connection.target}"
+    if not is_compatible(source.kind, target.kind):
+        kinds = f"{source.kind or 'a number'} and {target.kind}"
+        raise ValueError(f"{ends}: types do not agree, {kinds}; connect equal types")
+    if source.declared and source.declared == target.declared and source.items != target.items:
+        items = f"{_numbers(source.items)}; {_numbers(target.items)}"
+        raise ValueError(f"{ends}: enumerations {source.declared} with different items: {items}; connect equal ones")
+    if connection.conversion is None and source.conversion(target) is None:
+        units = f"{connection.source} [{source.unit}] to {connection.target} [{target.unit}], as defined by their FMUs"
+        raise ValueError(f"unit mismatch: {units}. To pass the number unchanged, add factor: 1")
     owner, _, receiver, _ = connection.ends
     origin, name = f"{owner}.{source.name}", f"{receiver}.{target.name}"
-    (from_beside, at), (to_beside, to) = (building.layout.place[end] for end in (origin, name))
+    (from_beside, at), (to_beside, to) = (building.place[end] for end in (origin, name))
     faults = tuple(f for on in dict.fromkeys((connection.target, name)) for f in scenario.faults if f.on == on)
     if target.kind == "Clock":
         if connection.noise or connection.conversion is not None or any(fault.on == name for fault in faults):
@@ -356,11 +370,7 @@ def _check_faults(building: Building) -> None:
             hint = did_you_mean(fault.on, targets) or f" (connected: {_some(targets)})"
             building.note(("faults", k, "on"), f"{fault.on} is not connected{hint}")
         if getattr(scenario.components.get(fault.on.partition(".")[0]), "step", None) is not None:
-            message = (
-                f"{fault.on} belongs to a component with its own step, where faults are not possible; remove this step "
-                "or the fault"
-            )
-            building.note(("faults", k, "on"), message)
+            building.note(("faults", k, "on"), f"{fault.on} belongs to a component with its own step; remove this step")
         key = needs.get(fault.kind)
         if key is not None and getattr(fault, key) is None:
             building.note(("faults", k), f"{fault.kind} needs {key}; add it")

@@ -173,18 +173,17 @@ def _comparison_lines(c: ComparedRuns) -> list[str]:
     return lines
 
 
-def report_command(folder: Path, *, figures: bool = False, open: bool = False, json: bool = False) -> None:
+def report_command(folder: Path, *, open: bool = False, json: bool = False) -> None:
     """Write the report of a run again from its results.
 
     Args:
         folder: Folder of a run.
-        figures: Write figures/*.png too.
 
     Example: cosim report results/one --open
     """
     from cosim.files.kinds import check_given
     from cosim.files.results import rows_in
-    from cosim.simulation.report.figures import write_pages
+    from cosim.simulation.report.run_page import write_report
     from cosim.simulation.run_signals import read_ran
 
     path = newest_run(folder)
@@ -199,7 +198,11 @@ def report_command(folder: Path, *, figures: bool = False, open: bool = False, j
         raise InputError.at(rows_in(path) or path, "has no rows: the run stopped before the first row; run it again")
     check_writable(path, ("report.html",))
     warn(*run.warnings)
-    write_pages(path, run.results, {"warnings": [], **run.manifest}, figures=figures)
+    try:
+        write_report(path / "report.html", run.results, run.manifest)
+    except (LookupError, TypeError, ValueError, AttributeError) as error:
+        reason = f"is damaged ({type(error).__name__}: {error}); run the scenario again"
+        raise InputError.at(path / "manifest.json", reason) from None
     page = path / "report.html"
     say(f"report:  {page}")
     if json:

@@ -65,7 +65,7 @@ def run_command(
         overrides = overrides_of(given["set"], given["seed"], given["pace"])
         with compiling(given["compile"]):
             source = Path(made.manifest["source"])
-            sentence = error_of(source, overrides, in_process=given["in_process"]).sentence
+            _, sentence = error_of(source, overrides, in_process=given["in_process"])
         echo(sentence, err=True) if json else say(sentence)
     say_run(made, opens=open)
 

@@ -50,8 +50,8 @@ class Craft:
 
     def recorded(self, column: str) -> Array:
         """Return a column of the results."""
-        line = self.run.signal(column)
-        return np.full(self.run.time.size, math.nan) if line is None else line
+        results = self.run.results
+        return results[column] if column in results else np.full(self.run.time.size, math.nan)
 
     def signal(self, variable: str) -> Array:
         """Return a variable of the craft."""

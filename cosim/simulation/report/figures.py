@@ -1,18 +1,13 @@
-"""PNG figures of a run, for reports and slides, with the same panels as the page."""
+"""Matplotlib figures of panels, with the same panels as the page of a run."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 from cosim.core.arrays import Array
-from cosim.core.drafts import draft_of
-from cosim.core.text import showing
-from cosim.files.results import Results
 from cosim.report.cell.cell import new_figure
 from cosim.report.panels import Panel
-from cosim.simulation.report.run_page import drawable_run, signal_panels, write_report
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -30,33 +25,7 @@ LINE_STYLES: dict[str, tuple[str, str, float]] = {
     "s5": ("#1a1a1a", ":", 1.1),
     "baseline": ("#1a1a1a", "-", 2.0),
 }
-PANELS_A_FIGURE = 8
 LONGEST_LABEL = 48  # characters of a label, so that titles and legends leave room for curves
-
-
-def write_pages(
-    folder: Path, results: Results, manifest: Mapping[str, Any], *, report: bool = True, figures: bool = False
-) -> None:
-    """Write the report and the figures of a run into its folder."""
-    if report:
-        write_report(folder / "report.html", results, manifest)
-    if figures:
-        write_figures(folder / "figures", results, manifest)
-
-
-def write_figures(folder: Path, results: Results, manifest: Mapping[str, Any]) -> list[Path]:
-    """Write PNG figures of a run and return their paths; none for a run without rows."""
-    with showing(manifest):
-        run, paths = drawable_run(results, manifest), []
-        if run.time.size == 0:
-            return []
-        folder.mkdir(parents=True, exist_ok=True)
-        panels = signal_panels(run)
-        for first in range(0, len(panels), PANELS_A_FIGURE):
-            paths.append(folder / f"signals-{first // PANELS_A_FIGURE + 1}.png")
-            with draft_of(paths[-1]) as draft:
-                sheet(run.time, panels[first : first + PANELS_A_FIGURE]).savefig(draft, format="png", dpi=150)
-        return paths
 
 
 def sheet(time: Array, panels: Sequence[Panel]) -> Figure:

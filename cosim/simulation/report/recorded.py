@@ -1,4 +1,4 @@
-"""Results and manifest of a run, as pages read them; missing entries are accepted."""
+"""Results and manifest of a run, as pages read them; any key of the manifest may be absent."""
 
 from __future__ import annotations
 
@@ -17,23 +17,6 @@ from cosim.report.panels import Trace
 from cosim.report.template import Row
 
 MIN_READINGS = 100  # readings of the current call, half a second, below which shares of the wall time are too uncertain
-
-
-def mapping(value: Any) -> Mapping[str, Any]:
-    """Return a value if it is a mapping, otherwise an empty mapping."""
-    return value if isinstance(value, Mapping) else {}
-
-
-def mappings(value: Any) -> list[Mapping[str, Any]]:
-    """Return the mappings in a list; an empty list for other values."""
-    return [item for item in value if isinstance(item, Mapping)] if isinstance(value, list | tuple) else []
-
-
-def texts(value: Any) -> list[str]:
-    """Return the items of a list as texts; a single text counts as a list of one."""
-    return [
-        str(item) for item in ([value] if isinstance(value, str) else value if isinstance(value, list | tuple) else ())
-    ]
 
 
 def number(value: Any, default: float = float("nan")) -> float:
@@ -65,35 +48,34 @@ class ComponentPage:
 
 @dataclass(frozen=True)
 class Run:
-    """Results and manifest of a run; entries of the manifest may be missing."""
+    """Results and manifest of a run."""
 
     results: Results
     manifest: Mapping[str, Any]
 
     def part(self, key: str) -> Mapping[str, Any]:
         """Return the mapping under a key of the manifest; empty if it is missing."""
-        return mapping(self.manifest.get(key))
+        return self.manifest.get(key) or {}
 
     @property
     def scenario(self) -> Mapping[str, Any]:
         """Return the scenario of the manifest."""
         return self.part("scenario")
 
-    @cached_property
-    def components(self) -> dict[str, Mapping[str, Any]]:
+    @property
+    def components(self) -> Mapping[str, Mapping[str, Any]]:
         """Return component → its entry in the scenario."""
-        return {str(name): mapping(c) for name, c in mapping(self.scenario.get("components")).items()}
+        return self.scenario.get("components", {})  # type: ignore[no-any-return]
 
-    @cached_property
-    def connections(self) -> list[Mapping[str, Any]]:
+    @property
+    def connections(self) -> Sequence[Mapping[str, Any]]:
         """Return the connections of the scenario."""
-        return mappings(self.scenario.get("connections"))
+        return self.scenario.get("connections", ())  # type: ignore[no-any-return]
 
-    @cached_property
+    @property
     def links(self) -> list[tuple[str, str]]:
         """Return the connections as pairs (source, target) of `component.variable`."""
-        pairs = ((link.get("from"), link.get("to")) for link in self.connections)
-        return [(source, target) for source, target in pairs if isinstance(source, str) and isinstance(target, str)]
+        return [(link["from"], link["to"]) for link in self.connections]
 
     @property
     def algorithm(self) -> str:
@@ -117,19 +99,12 @@ class Run:
     @property
     def has_failed(self) -> bool:
         """Return True if the simulation stopped early."""
-        return str(self.manifest.get("status") or "ok") != "ok"
-
-    def signal(self, column: str) -> Array | None:
-        """Return a column of the results, None if it is not recorded."""
-        if column not in self.results:
-            return None
-        return self.results[column]
+        return bool(self.manifest.get("status", "ok") != "ok")
 
     @cached_property
     def items(self) -> dict[str, dict[float, str]]:
         """Return column → number → item, for columns of enumerations."""
-        columns = self.part("items").items()
-        return {str(c): {number(v): str(name) for name, v in mapping(items).items()} for c, items in columns}
+        return {c: {float(v): name for name, v in items.items()} for c, items in self.part("items").items()}
 
     def trace(self, column: str, style: str, label: str = "") -> Trace:
         """Return the line of a column, with values in the display unit."""
@@ -142,7 +117,7 @@ class Run:
 
     def start(self, component: str | None) -> Mapping[str, Any]:
         """Return the start values that the scenario sets for a component."""
-        return mapping(self.components.get(component or "", {}).get("start"))
+        return self.components.get(component or "", {}).get("start", {})  # type: ignore[no-any-return]
 
     def source(self, target: str) -> str | None:
         """Return the output connected to an input, if any."""
@@ -151,21 +126,17 @@ class Run:
 
 def disturbances(run: Run, link: Mapping[str, Any]) -> list[str]:
     """Return texts on the noise (standard deviation) and the injected faults of a connection."""
-    parts, noise, target = list[str](), mapping(link.get("noise")), str(link.get("to"))
-    if noise:
-        unit = run.unit(target) or run.unit(str(link.get("from")))
-        variance, bias = number(noise.get("variance"), 0.0), number(noise.get("bias"), 0.0)
-        parts += [f"σ\u00a0=\u00a0{amount(math.sqrt(variance), unit, difference=True)}"] if variance > 0 else []
-        parts += [f"bias {amount(bias, unit, difference=True)}"] if bias else []
-        parts += [f"{key} {value}" for key, value in noise.items() if key not in ("variance", "bias")]
-        parts = [", ".join(parts) or "none"]
-    return [*parts, *(fault_text(fault) for fault in faults_on(run, [target]))]
+    noise, unit = link.get("noise", {}), run.unit(link["to"]) or run.unit(link["from"])
+    sigma, bias = math.sqrt(noise.get("variance", 0.0)), noise.get("bias", 0.0)
+    parts = [f"σ\u00a0=\u00a0{amount(sigma, unit, difference=True)}"] if sigma else []
+    parts += [f"bias {amount(bias, unit, difference=True)}"] if bias else []
+    return [*filter(None, [", ".join(parts)]), *(fault_text(fault) for fault in faults_on(run, [link["to"]]))]
 
 
 def faults_on(run: Run, inputs: Sequence[str]) -> list[Mapping[str, Any]]:
     """Return the faults that are injected into connections to these inputs."""
     names = {*inputs, *(name.partition("[")[0] for name in inputs)}
-    return [fault for fault in mappings(run.scenario.get("faults")) if fault.get("on") in names]
+    return [fault for fault in run.scenario.get("faults", ()) if fault["on"] in names]
 
 
 def fault_text(fault: Mapping[str, Any]) -> str:
@@ -174,19 +145,14 @@ def fault_text(fault: Mapping[str, Any]) -> str:
     sizes += [f"of {fault['delay']} s"] if "delay" in fault else []
     sizes += [f"with probability {fault['probability']}"] if "probability" in fault else []
     times = [f"{key} {fault[key]} s" for key in ("from", "to") if key in fault]
-    return " ".join([f"fault: {fault.get('kind', '?')}", *sizes, *times])
+    return " ".join([f"fault: {fault['kind']}", *sizes, *times])
 
 
 def time_sentence(timings: Mapping[str, Any]) -> str:
     """Return a sentence on the component with the most wall time; "" if times were not measured."""
-    components = mapping(timings.get("components"))
-    if not components or not number(timings.get("readings")) >= MIN_READINGS:
+    if not timings.get("components") or timings["readings"] < MIN_READINGS:
         return ""
-    name, entry = next(iter(components.items()))
-    times = mapping(entry)
-    steps = sum(number(times.get(call)) for call in ("step", "set", "get"))
-    words = f"{plain(steps, 2)} s in steps, {plain(number(times.get('other')), 2)} s in loading"
-    sentence = f"{name} takes {number(times.get('share')):.0%} of the time, loading included ({words})"
-    if (waiting := number(timings.get("waiting"), 0.0)) > 0.0:
-        sentence += f"; {plain(waiting, 2)} s of waiting for the pace or in a pause are not counted"
-    return f"{sentence}."
+    name, times = next(iter(timings["components"].items()))
+    steps = times["step"] + times["set"] + times["get"]
+    words = f"{plain(steps, 2)} s in steps, {plain(times['other'], 2)} s in loading"
+    return f"{name} takes {times['share']:.0%} of the time, loading included ({words})."

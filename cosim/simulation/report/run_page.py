@@ -7,20 +7,18 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from html import escape
 from itertools import islice
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from cosim.blocks.coupling import algorithms
 from cosim.core import registry
 from cosim.core.arrays import far_beyond
-from cosim.core.text import amount, counted, displayed, is_difference, join_names, plain, showing, some
+from cosim.core.text import amount, counted, displayed, is_difference, join_names, plain, showing
 from cosim.credibility.validity import output_panels, validity_sentence
 from cosim.files.files import write_text
-from cosim.files.results import Results, is_rounded
+from cosim.files.results import Results
 from cosim.files.yaml_file import short
 from cosim.report.cell.cell import MAX_CELL_CURVES, cell_of, rows_to_show
 from cosim.report.charts import Charts, Drawing
@@ -33,10 +31,7 @@ from cosim.simulation.report.recorded import (
     disturbances,
     fault_text,
     faults_on,
-    mapping,
-    mappings,
     number,
-    texts,
     time_sentence,
 )
 from cosim.simulation.report.system_diagram import graph_of_run
@@ -53,7 +48,6 @@ MAX_WIRES = 200  # in the system diagram; `cosim graph` draws all
 MAX_PAGE_SIGNALS = 1000  # signals on a page
 MAX_LISTED_CONNECTIONS = 1000  # connections in the table
 DRAWABLE = 1e100  # a diverged run has larger values, with squares that may overflow
-MAX_NOTED_NAMES = 5  # in a note
 MAX_SPELLED, MAX_CHANGES = 200, 8  # signals on a page, and changes of each
 STEP_MEANING = "time between two exchanges of values among the components"
 MIN_SHARE = 0.01  # of the wall time of a component with a row
@@ -69,10 +63,9 @@ def write_report(path: Path, results: Results, manifest: Mapping[str, Any]) -> N
 
 def _page(run: Run) -> str:
     drawing, goals, has_rows = Charts().over(run.time), criteria(run), bool(run.time.size)
-    tiles = []
-    for c in sorted(goals, key=lambda c: bool(c["met"]))[:MAX_TILES]:
-        allowed = f", allowed {c['allowed']}" if c["allowed"] else ""
-        tiles.append(Row(c["title"], c["value"], f"{'met' if c['met'] else 'missed'}{allowed}"))
+    worst = sorted(goals, key=lambda goal: bool(goal["met"]))[:MAX_TILES]
+    verdicts = [f"{'met' if goal['met'] else 'missed'}, allowed {goal['allowed']}" for goal in worst]
+    tiles = [Row(goal["title"], goal["value"], verdict) for goal, verdict in zip(worst, verdicts, strict=True)]
     entry = registry.page_for(run.variables.values())
     page: ComponentPage | None = registry.resolve(entry.subject)(run, drawing) if entry else None
     page = page or ComponentPage(TEMPLATE)
@@ -83,10 +76,10 @@ def _page(run: Run) -> str:
     graph = graph_of_run(run) if len(run.connections) <= MAX_WIRES else None
     count = len([column for column in run.results.columns if column not in shown])
     values = {
-        "name": str(run.scenario.get("name") or "Run"),
-        "description": str(run.scenario.get("description") or ""),
-        "when": str(run.manifest.get("date") or "").replace("T", " ")[:16],
-        "settings": texts(run.manifest.get("set")),
+        "name": run.scenario.get("name", "Run"),
+        "description": run.scenario.get("description", ""),
+        "when": run.manifest.get("date", "").replace("T", " ")[:16],
+        "settings": run.manifest.get("set", ()),
         "outcome": outcome(run, goals),
         "tone": "bad" if run.has_failed or not all(c["met"] for c in goals) else "good" if goals else "plain",
         "badges": badges(run, goals),
@@ -110,9 +103,9 @@ def _page(run: Run) -> str:
         "events": event_rows(run),
         "times": time_rows(run),
         "time_sentence": time_sentence(run.part("timings")),
-        "warnings": texts(run.manifest.get("warnings")),
+        "warnings": run.manifest.get("warnings", ()),
         "repeat": command("cosim", "run", "manifest.json"),
-        "version": str(run.manifest.get("cosim_version") or ""),
+        "version": run.manifest.get("cosim_version", ""),
         "own": bool(shown),
         **page.values,
     }
@@ -132,19 +125,19 @@ def judged_panels(run: Run) -> list[Panel]:
 
     Each panel shows the target and the limits.
     """
-    entries = sorted(mappings(run.manifest.get("criteria")), key=lambda entry: bool(entry.get("met")))
+    entries = sorted(run.manifest.get("criteria", ()), key=lambda entry: bool(entry["met"]))
     panels: dict[str, Panel] = {}
     for entry in entries:
-        name, target, kind = str(entry.get("of")), entry.get("to", 0.0), str(entry.get("kind"))
+        name, target, kind = entry["of"], entry.get("to", 0.0), entry["kind"]
         if name not in run.results or name in panels or len(panels) == MAX_TILES:
             continue
         names, limits = [(name, "true")], tuple[float, ...]()
         if not isinstance(target, str):
             width = number(entry.get(WIDTH_KEYS.get(kind, "")))  # NaN without limits
             low, high = extent([run.results[name]]) or (0.0, 0.0)
-            is_one_sided = kind == "peak" and not number(target)  # true for the peak of a signal that keeps its sign
+            is_one_sided = kind == "peak" and not target  # true for the peak of a signal that keeps its sign
             sides = (1.0,) if is_one_sided and low >= 0.0 else (-1.0,) if is_one_sided and high <= 0.0 else (-1.0, 1.0)
-            ends = (displayed(number(target) + side * width, run.unit(name)) for side in sides)
+            ends = (displayed(target + side * width, run.unit(name)) for side in sides)
             limits = tuple(end for end in ends if math.isfinite(end))
         elif target in run.results:
             names.append((target, "reference"))
@@ -202,21 +195,13 @@ def _panel(run: Run, title: str, traces: Sequence[Trace], columns: Sequence[str]
 
 
 def results_cell(results: Results, names: Sequence[str], title: str) -> str:
-    """Return HTML with an interactive chart of the first of the named signals, one panel per unit.
-
-    A note names text signals, which are not drawn, and integers that are rounded to doubles.
-    """
+    """Return HTML with an interactive chart of the first of the named signals, one panel per unit."""
     shown = tuple(names[:MAX_CELL_CURVES])
     rows = rows_to_show([results[name] for name in shown])  # first of all: a long run is not copied
     values = np.column_stack([results[name][rows] for name in shown]) if shown else np.empty((rows.size, 0))
     run = drawable_run(replace(results, time=results.time[rows], columns=shown, values=values, exact={}), {})
     omitted = len(names) - len(shown)
-    page = cell_of(run.time, signal_panels(run), title, rows=results.time.size, omitted=omitted)
-    texts = [name for name in results.exact if name not in results]
-    rounded = [name for name in shown if name in results.exact and is_rounded(results[name])]
-    notes = ((texts, "not drawn: texts"), (rounded, "above 2⁵³ drawn as the nearest doubles"))
-    parts = [f"{some(of, MAX_NOTED_NAMES)} {text}" for of, text in notes if of]
-    return page + (f"<p><small>{escape('; '.join(parts))}.</small></p>" if parts else "")
+    return cell_of(run.time, signal_panels(run), title, rows=results.time.size, omitted=omitted)
 
 
 def trust(run: Run, drawing: Drawing) -> dict[str, Any]:
@@ -224,8 +209,8 @@ def trust(run: Run, drawing: Drawing) -> dict[str, Any]:
     rows, panels = list[Row](), list[Panel]()
     for name, entry in run.part("validity").items() if run.time.size else ():
         outputs = {v: run.results[c] for c in run.results.columns for n, _, v in [c.partition(".")] if n == name}
-        panels += output_panels(name, mapping(entry), run.time, outputs)
-        if text := validity_sentence(name, mapping(entry)):
+        panels += output_panels(name, entry, run.time, outputs)
+        if text := validity_sentence(name, entry):
             rows.append(Row(name, text.partition(": ")[2]))
     return {"trust": rows, "bands": drawing.plots(panels)}
 
@@ -234,15 +219,12 @@ def trust(run: Run, drawing: Drawing) -> dict[str, Any]:
 
 
 def badges(run: Run, judged: Sequence[Mapping[str, Any]]) -> list[str | tuple[str, str]]:
-    """Return the badges in the page's header: status, criteria, algorithm, noise, seed and warnings."""
-    met, warnings = sum(criterion["met"] for criterion in judged), texts(run.manifest.get("warnings"))
-    algorithm, seed = algorithms().get(run.algorithm), run.manifest.get("seed")
+    """Return the badges in the page's header: status, criteria, noise and warnings."""
+    met, warnings = sum(criterion["met"] for criterion in judged), run.manifest.get("warnings", ())
     badges = (
         (True, ("failed", "bad") if run.has_failed else ("completed", "good" if judged else "plain")),
         (judged, (f"{met} of {counted(len(judged), 'criterion')} met", "good" if met == len(judged) else "bad")),
-        (run.links, algorithm.title if algorithm else run.algorithm),
         (run.scenario.get("noise") is False, "noise off"),
-        (seed is not None, f"seed {seed}"),
         (warnings, (counted(len(warnings), "warning"), "warn")),
         (run.part("git").get("dirty"), ("uncommitted changes", "warn")),
     )
@@ -251,16 +233,12 @@ def badges(run: Run, judged: Sequence[Mapping[str, Any]]) -> list[str | tuple[st
 
 def event_rows(run: Run) -> list[dict[str, str]]:
     """Return table rows with the number of events by component and cause, for a run with event mode."""
-    events = run.manifest.get("first_events")
-    firsts: dict[tuple[str, str], str] = {}
-    for event in events if isinstance(events, list) else []:
-        time, *cause = event if isinstance(event, list) else [None]
-        if isinstance(time, int | float) and len(cause) == 2:
-            firsts.setdefault((str(cause[0]), str(cause[1])), f"{time:.6g} s")
+    events = reversed(run.manifest.get("first_events", ()))
+    firsts = {(name, cause): f"{time:.6g} s" for time, name, cause in events}
     return [
         {"component": c, "cause": cause, "count": str(count), "first": firsts.get((c, cause), "–")}
         for c, counts in run.part("event_counts").items()
-        for cause, count in mapping(counts).items()
+        for cause, count in counts.items()
     ]
 
 
@@ -288,10 +266,7 @@ def spelled_values(run: Run) -> list[Row]:
 
 def connections(run: Run) -> list[dict[str, str]]:
     """Return table rows of connections: source, target, noise and faults."""
-    return [
-        {"source": str(c.get("from", "?")), "target": str(c.get("to", "?")), "noise": "; ".join(disturbances(run, c))}
-        for c in run.connections
-    ]
+    return [{"source": c["from"], "target": c["to"], "noise": "; ".join(disturbances(run, c))} for c in run.connections]
 
 
 def fmi_kind(fmu: Mapping[str, Any]) -> str:
@@ -304,16 +279,14 @@ def component_rows(run: Run) -> list[dict[str, str]]:
     """Return table rows of components: name, FMU or block, kind and settings."""
     rows, fmus = [], run.part("fmus")
     for name, component in run.components.items():
-        kind = fmi_kind(mapping(fmus.get(name)))
+        kind = fmi_kind(fmus[name]) if name in fmus else "block of cosim" * ("block" in component)
         hidden = {"start", "fmu", "block", "sha256", *(("interface",) if kind else ())}
         chosen = {key: value for key, value in component.items() if value not in ({}, []) and value is not False}
         settings = []
-        for key, value in {**chosen, **mapping(component.get("start"))}.items():
+        for key, value in {**chosen, **component.get("start", {})}.items():
             if key not in hidden:
-                own = " s (communication step of its own)" if key == "step" else ""
-                settings.append(f"{key} = {fact_text(value)}{own}")
-        kind = kind or ("block of cosim" if component.get("block") else "")
-        source = str(component.get("fmu") or component.get("block") or "")
+                settings.append(f"{key} = {fact_text(value)}")
+        source = component.get("fmu") or component.get("block") or ""
         rows.append({"label": name, "source": source, "kind": kind, "settings": ", ".join(settings)})
     return rows
 
@@ -324,15 +297,14 @@ def component_rows(run: Run) -> list[dict[str, str]]:
 def time_rows(run: Run) -> list[dict[str, str]]:
     """Return table rows with the wall time of each component by kind of call, and of waiting."""
     timings = run.part("timings")
-    if not number(timings.get("readings")) >= MIN_READINGS:
+    if timings.get("readings", 0) < MIN_READINGS:
         return []
     rows, calls = [], ("step", "set", "get", "other")
-    for name, entry in mapping(timings.get("components")).items():
-        times = mapping(entry)
-        if (share := number(times.get("share"))) >= MIN_SHARE:
-            seconds = {call: f"{plain(number(times.get(call)), 2)} s" for call in calls}
-            rows.append({"label": str(name), "share": f"{share:.0%}", **seconds})
-    if (waiting := number(timings.get("waiting"), 0.0)) > 0.0:
+    for name, times in timings["components"].items():
+        if times["share"] >= MIN_SHARE:
+            seconds = {call: f"{plain(times[call], 2)} s" for call in calls}
+            rows.append({"label": name, "share": f"{times['share']:.0%}", **seconds})
+    if waiting := timings.get("waiting"):
         empty = dict.fromkeys(calls, "") | {"other": f"{plain(waiting, 2)} s"}
         rows.append({"label": "waiting for the pace, or in a pause", "share": "not counted", **empty})
     return rows
@@ -345,39 +317,35 @@ def provenance(run: Run) -> list[Row]:
     """Return table rows with facts for repeating the run, from the manifest."""
     manifest, rows = run.manifest, list[Row]()
     keys = ("model_name", "version", "guid", "sha256", "generation_tool")
-    for name, entry in run.part("fmus").items():
-        fmu = mapping(entry)
+    for name, fmu in run.part("fmus").items():
         lines = [fmi_kind(fmu), *(f"{key.replace('_', ' ')} {fmu[key]}" for key in keys if fmu.get(key))]
-        rows.append(Row(f"FMU {name}", "\n".join(filter(None, lines)), str(fmu.get("path") or "")))
-    git, timings = run.part("git"), run.part("timings")
-    state = "with uncommitted changes" if git.get("dirty") else "clean"
-    wall = [f"{key} {amount(number(timings[key]), 's')}" for key in ("load", "simulate") if key in timings]
-    if math.isfinite(speed := number(timings.get("real_time_factor"))):
-        wall.append(f"{plain(speed, 2)} times as fast as real time")
-    step, duration, pacing = run.scenario.get("step"), run.scenario.get("duration"), run.part("pacing")
+        rows.append(Row(f"FMU {name}", "\n".join(filter(None, lines)), fmu.get("path", "")))
+    git, timings, pacing = run.part("git"), run.part("timings"), run.part("pacing")
+    wall = [f"{key} {amount(timings[key], 's')}" for key in ("load", "simulate") if key in timings]
+    if "real_time_factor" in timings:
+        wall.append(f"{plain(timings['real_time_factor'], 2)} times as fast as real time")
+    step = run.scenario.get("step")
     steps = fact_lines({**step, **run.part("steps")}) if isinstance(step, Mapping) else _seconds(step)
     facts = [
-        Row("cosim", str(manifest.get("cosim_version") or "")),
+        Row("cosim", manifest.get("cosim_version", "")),
         Row("Versions", ", ".join(f"{key} {value}" for key, value in run.part("versions").items())),
-        Row(
-            "Git revision", str(git.get("revision") or ""), "with uncommitted changes" if git.get("dirty") else "clean"
-        ),
-        Row("Simulated time", _seconds(duration)),
+        Row("Git revision", git.get("revision", ""), "with uncommitted changes" if git.get("dirty") else "clean"),
+        Row("Simulated time", _seconds(run.scenario.get("duration"))),
         Row("Communication step", steps, STEP_MEANING),
         Row("Coupling algorithm", run.algorithm),
         Row("Seed", "" if manifest.get("seed") is None else str(manifest["seed"])),
         Row("Wall time", ", ".join(wall)),
     ]
-    for loop in mappings(manifest.get("loops")):
-        names, state = texts(loop.get("components")), "NOT SOLVED\n" if loop.get("not_solved") else ""
+    for loop in manifest.get("loops", ()):
+        names, state = loop["components"], "NOT SOLVED\n" if "not_solved" in loop else ""
         facts.append(Row(f"Algebraic loop {' → '.join((*names, *names[:1]))}", state + fact_lines(loop)))
     if pacing:
-        facts.append(Row("Pace", f"{number(pacing.get('pace')):g} × real time\n{fact_lines(pacing)}"))
+        facts.append(Row("Pace", f"{pacing['pace']:g} × real time\n{fact_lines(pacing)}"))
     return [*rows, *(fact for fact in facts if fact.value)]
 
 
 def _seconds(value: Any) -> str:
-    return "" if value is None else f"{number(value):g} s"
+    return "" if value is None else f"{value:g} s"
 
 
 def fact_lines(facts: Mapping[str, Any]) -> str:
@@ -398,22 +366,20 @@ def fact_text(value: Any) -> str:
 def criteria(run: Run) -> list[dict[str, Any]]:
     """Return title, value, allowed value, margin and outcome of each criterion in the manifest, as text."""
     rows = []
-    for entry in mappings(run.manifest.get("criteria")):
-        own_unit, unit = run.unit(str(entry.get("of"))), str(entry.get("unit") or "")
-        value, bound = number(entry.get("value")), number(entry.get("max"))
-        kind, target = str(entry.get("kind", "criterion")), entry.get("to")
-        title = f"{CRITERION_NAMES.get(kind, kind.replace('_', ' '))} of {entry.get('of', '?')}"
+    for entry in run.manifest.get("criteria", ()):
+        kind, target, own_unit, unit = entry["kind"], entry.get("to"), run.unit(entry["of"]), entry["unit"]
+        title = f"{CRITERION_NAMES.get(kind, kind.replace('_', ' '))} of {entry['of']}"
         if target is not None:
-            title += f" to {target if isinstance(target, str) else amount(number(target), own_unit, None)}"
+            title += f" to {target if isinstance(target, str) else amount(target, own_unit, None)}"
         if "band" in entry:
-            title += f" within ±{amount(number(entry['band']), own_unit, None, difference=True)}"
-        title += "".join(f" {w} {amount(number(entry[w]), 's', None)}" for w in ("after", "until") if w in entry)
-        figure = partial(amount, unit=unit, difference=is_difference(entry))
-        row = {"title": title, "met": bool(entry.get("met", value <= bound)), "margin": "", "allowed": ""}
-        row["value"] = figure(value) if math.isfinite(value) else "not settled" if kind == "settling_time" else "none"
-        if math.isfinite(bound):
-            row["allowed"] = f"≤ {figure(bound, digits=None)}"
-        if math.isfinite(rest := bound - value):
+            title += f" within ±{amount(entry['band'], own_unit, None, difference=True)}"
+        title += "".join(f" {w} {amount(entry[w], 's', None)}" for w in ("after", "until") if w in entry)
+        figure, value = partial(amount, unit=unit, difference=is_difference(entry)), entry["value"]
+        row = {"title": title, "met": entry["met"], "margin": "", "allowed": f"≤ {figure(entry['max'], digits=None)}"}
+        if value is None:
+            row["value"] = "not settled" if kind == "settling_time" else "none"
+        else:
+            row["value"], rest = figure(value), entry["max"] - value
             row["margin"] = f"{amount(abs(rest), unit, difference=True)} {'left' if rest >= 0 else 'over'}"
         rows.append(row)
     return rows
@@ -422,17 +388,15 @@ def criteria(run: Run) -> list[dict[str, Any]]:
 def outcome(run: Run, judged: Sequence[Mapping[str, Any]]) -> str:
     """Return one or two sentences on the outcome of the run."""
     if run.has_failed:
-        reason = str(run.manifest["status"]).removeprefix("failed").lstrip(": ") or "no reason was recorded"
+        reason = run.manifest["status"].removeprefix("failed").lstrip(": ") or "no reason was recorded"
         return f"The simulation failed: {reason}. The rows before that are shown."
     missed = [c for c in judged if not c["met"]]
     if missed:
         first = missed[0]
-        detail = f"{first['title']}: {first['value']}" + (f", allowed {first['allowed']}" if first["allowed"] else "")
-        verb, which = ("was", detail) if len(missed) == 1 else ("were", f"first, {detail}")
-        return f"{len(missed)} of {counted(len(judged), 'criterion')} {verb} missed ({which})."
+        detail = f"{first['title']}: {first['value']}, allowed {first['allowed']}"
+        return f"{len(missed)} of {counted(len(judged), 'criterion')} missed; first {detail}."
     if judged:
-        every = {1: "The criterion was met.", 2: "Both criteria were met."}
-        return every.get(len(judged), f"All {counted(len(judged), 'criterion')} were met.")
+        return f"{len(judged)} of {counted(len(judged), 'criterion')} met."
     names = list(run.components) or list(run.variables)
     if not names or not run.time.size:
         return "Nothing was recorded."

@@ -1,4 +1,4 @@
-"""Diagram of a system as SVG or Mermaid: components in stepping order, signals, units, noise and faults."""
+"""Diagram of a system as SVG: components in stepping order, signals, units, noise and faults."""
 
 from __future__ import annotations
 
@@ -10,10 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from cosim.blocks.coupling import DEFAULT, Algorithm, algorithms
 from cosim.core.text import counted, written
 from cosim.files.results import Results
-from cosim.files.yaml_file import short
 from cosim.report.template import TEMPLATES, inline
 from cosim.simulation.report.recorded import Run, disturbances
 
@@ -52,7 +50,6 @@ class Graph:
     name: str
     about: Mapping[str, str]
     links: Sequence[DiagramLink]
-    algorithm: Algorithm
 
     def svg(self, *, alone: bool = True) -> str:
         """Return the diagram as SVG.
@@ -84,7 +81,11 @@ class Graph:
         places: tuple[dict[str, tuple[float, float]], dict[str, tuple[float, float]]] = {}, {}  # inputs, outputs
         for number, (name, about) in enumerate(self.about.items(), 1):
             title, sides = f"{number} {_cut(name)}", ports[name]
-            widths = sum(max([0.0, *(_width(*port) for port in side.values())]) for side in sides)
+            widths = 0.0  # of the widest input and the widest output with their notes
+            for own in sides:
+                lines = [CHARACTER_PX * len(f"{port} [{unit}]" if unit else port) for port, unit, _ in own.values()]
+                lines += [SMALL_PX * len(note) for *_, notes in own.values() for note in notes]
+                widths += max(lines, default=0.0)
             width = max(MIN_WIDTH, widths + 40, BOLD_PX * len(title) + 24, SMALL_PX * len(about) + 24)
             box = HEAD + 12 + max(sum(LINE + NOTE * len(notes) for *_, notes in side.values()) for side in sides)
             bottom = max(bottom, top + box + 12)
@@ -116,18 +117,12 @@ class Graph:
             wire = f'<path class="wire{" held" * link.held}" d="{path}V{y2:.1f}H{x2:.1f}"/>'
             tip = f'<path class="tip" d="M{x2:.1f} {y2:.1f}l-8 -4v8z"/>'
             parts.append(f"<g><title>{escape(title)}</title>{wire}{tip}</g>")
-        held, key = [link.held for link in self.links], ""
-        if not self.algorithm.sequential:
-            if held:
-                key = f"{self.algorithm.title}: every component receives the values at the start of the step."
-        else:
-            key = "Numbers are the order in which components step."
-            if any(held):
-                key += " Dashed lines transfer values at the start of the step, other lines values at its end."
-        key_top = bottom + LANE * len(below) + 22
-        parts += [_text("key", MARGIN, key_top, key)] if key else []
-        width = max(x - SLOT + MARGIN / 2, MARGIN * 2 + SMALL_PX * len(key) if key else 0.0)
-        height = key_top + (15 if key else 0)
+        key = "Numbers are the order in which components step."
+        if any(link.held for link in self.links):
+            key += " Dashed lines transfer values at the start of the step, other lines values at its end."
+        height = bottom + LANE * len(below) + 37
+        parts.append(_text("key", MARGIN, height - 15, key))
+        width = max(x - SLOT + MARGIN / 2, MARGIN * 2 + SMALL_PX * len(key))
         summary = f"{counted(len(place), 'component')} of {self.name} in the order in which they step"
         summary += f", {counted(len(wires), 'connection')}"
         size = f'width="{width:.0f}" height="{height:.0f}" viewBox="0 0 {width:.0f} {height:.0f}"'
@@ -138,37 +133,13 @@ class Graph:
             f"{paper}{''.join(parts)}</svg>"
         )
 
-    def mermaid(self) -> str:
-        """Return the diagram as Mermaid text for GitHub, GitLab and editors."""
-
-        def safe(text: str) -> str:
-            return text.replace("&", "#amp;").replace('"', "#quot;").replace("<", "#lt;").replace(">", "#gt;")
-
-        place = {name: f"n{k}" for k, name in enumerate(self.about, 1)}
-        lines = ["flowchart LR"]
-        lines += [
-            f'  {place[name]}["{k} · {safe(name)}<br/>{safe(about)}"]'
-            for k, (name, about) in enumerate(self.about.items(), 1)
-        ]
-        pairs: dict[tuple[str, str, bool], list[str]] = {}
-        for link in self.links:
-            (source, _, output), (target, _, entry) = link.source.partition("."), link.target.partition(".")
-            units = list(dict.fromkeys(written(u) for u in link.units if u))
-            label = short(output if output == entry else f"{output} → {entry}")
-            label += f" [{' → '.join(units)}]" if units else ""
-            pairs.setdefault((source, target, link.held), []).append(safe(", ".join([label, *link.acting])))
-        for (source, target, held), labels in pairs.items():
-            start, end = ("-. ", " .->") if held else ("-- ", " -->")
-            lines.append(f'  {place[source]} {start}"{"<br/>".join(labels)}"{end} {place[target]}')
-        return "\n".join(lines) + "\n"
-
 
 def graph_of_run(run: Run) -> Graph | None:
     """Return the diagram of a run; None if the manifest is incomplete."""
-    order, held = run.manifest.get("order"), run.manifest.get("held")
-    if not isinstance(order, list) or not isinstance(held, list) or set(order) != set(run.components):
+    order = run.manifest.get("order", ())
+    if set(order) != set(run.components):
         return None
-    return graph_from(run.scenario, [str(name) for name in order], {str(h) for h in held}, run.results.units)
+    return graph_from(run.scenario, order, set(run.manifest.get("held", ())), run.results.units)
 
 
 def graph_from(scenario: Mapping[str, Any], order: Sequence[str], held: set[str], units: Mapping[str, str]) -> Graph:
@@ -182,25 +153,18 @@ def graph_from(scenario: Mapping[str, Any], order: Sequence[str], held: set[str]
     about = {}
     for name in order:
         component = run.components.get(name, {})
-        facts = {**component, "file": PurePath(str(component.get("fmu") or component.get("file") or "")).name}
+        facts = {**component, "file": PurePath(component.get("fmu") or component.get("file") or "").name}
         about[name] = ", ".join(_cut(text.format(facts[key])) for key, text in FACTS.items() if facts.get(key))
     silent, arrays = scenario.get("noise") is False, {name.partition("[")[0] for name in held}
     links = []
     for link in run.connections:
-        source, target = str(link.get("from")), str(link.get("to"))
+        source, target = link["from"], link["to"]
         texts = ((text, text.startswith("fault")) for text in disturbances(run, link))
         acting = tuple(text if is_fault else f"noise {text}" for text, is_fault in texts if is_fault or not silent)
         if about.keys() >= {source.partition(".")[0], target.partition(".")[0]}:
             pair = units.get(source, ""), units.get(target, "")
             links.append(DiagramLink(source, target, pair, acting, target in held | arrays))
-    algorithm = algorithms().get(str(scenario.get("algorithm")), DEFAULT)
-    return Graph(str(scenario.get("name") or ""), about, links, algorithm)
-
-
-def _width(name: str, unit: str, notes: Sequence[str]) -> float:
-    """Return the width of a port with its notes [px]."""
-    characters = len(name) + (len(unit) + 3 if unit else 0)
-    return max([CHARACTER_PX * characters, *(SMALL_PX * len(text) for text in notes)])
+    return Graph(scenario.get("name", ""), about, links)
 
 
 def _text(look: str, x: float, y: float, text: str, unit: str = "") -> str:
