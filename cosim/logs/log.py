@@ -205,24 +205,14 @@ def read_log(
             elif name != "time" and column not in cells and (alone or name not in table):
                 faults.note(line, 1, f'has no column "{column}"{did_you_mean(column, cells)} for {name}')
         missing = [name for name in into if name not in table]
-        similar = {name: close for name in missing if (close := closest(name, unread))}
         cure = "if columns have other names, use --column COLUMN=VARIABLE, or `columns` in a study"
-        # a log belongs to the model if it has one of its columns, or a name similar to one of its signals
-        known = columns or len(unread) > HINTS or any(name in table or closest(name, unread) for name in units)
-        if missing and not known:
-            other = "check a log of another model with --model FILE:CLASS, and replay it with --fmu FMU"
-            faults.note(line, 1, f"has no column of the model: {name_list(units)}; {other}; {cure}")
-            return
-        every = f"a log needs every input of the model: {name_list(into)}"
         for name in missing:
-            if alike := similar.get(name):
-                message = f'"{alike}" is not a signal of the model; did you mean "{name}", which is missing'
-                faults.note(line, cells[alike], f"{message}? A{every[1:]}")
-            else:
-                faults.note(line, 1, f'input "{name}" is missing; {every}; {cure}')
+            alike = closest(name, unread)
+            hint = f'; "{alike}" is no signal of the model' if alike else ""
+            every = f"a log needs every input of the model: {name_list(into)}; {cure}"
+            faults.note(line, cells.get(alike, 1), f'input "{name}" is missing{hint}; {every}')
         if outputs and not missing and not any(name in table for name in outputs):
-            hints = "".join(dict.fromkeys(unread.values()))
-            message = f"has no output of the model{hints}; it needs at least one of {name_list(outputs)}; {cure}"
+            message = f"has no output of the model; it needs at least one of {name_list(outputs)}; {cure}"
             faults.note(line, 1, message)
 
     times = [column for column, name in columns.items() if name == "time"]
