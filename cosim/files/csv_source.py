@@ -23,7 +23,7 @@ MAX_TABLE_BYTES = 200_000_000  # size of a file [bytes]; files are read whole
 ROWS_PER_WRITE = 1000  # rows written at a time
 PLAIN_SIZES = 1e-4, 1e16  # `repr` writes numbers from the first to below the second without an exponent
 THOUSANDS = re.compile(r"\s*-?\d{1,3}([.,'’ ])\d{3}(\1\d{3})*(?!\1)[.,]\d+\s*")  # 1.234,5 and 1,234.5
-SEPARATORS = {";": "semicolons", "\t": "tabs", "|": "vertical bars"}
+SEPARATORS = {";": "semicolons", "\t": "tabs", "|": "vertical bars", " ": "blanks"}
 
 
 class Csv(Source):
@@ -42,8 +42,12 @@ class Csv(Source):
         with open_bytes(path) as stream:
             content = stream.read()
         header, line, mark = _header(io.BytesIO(content))
+        message = ""
         if any("\0" in cell for cell in header):
             message = "is a binary file, or text of another encoding; save it as plain CSV, UTF-8"
+        elif mark == " ":
+            message = "cells are separated by blanks; separate them with commas, semicolons or tabs"
+        if message:
             raise InputError([Fault(path, line, 1, message)])
         assumed: tuple[str, ...] = ()
         decimal = "."
@@ -99,7 +103,7 @@ def _header(stream: BinaryIO) -> tuple[list[str], int, str]:
     line = max(1, reader.line_num)
     only = header[0] if len(header) == 1 else ""
     for mark in SEPARATORS:
-        if mark in only.strip():
+        if mark in only.strip() and not (mark == " " and "[" in only):  # A blank separates a unit from its name.
             return next(csv.reader([only.strip()], delimiter=mark, skipinitialspace=True)), line, mark
     return header, line, ","
 
