@@ -5,16 +5,16 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from itertools import combinations
+from typing import cast
 
 import numpy as np
 
 from cosim.core.arrays import NamedValues
 from cosim.core.errors import Fault, InputError
-from cosim.core.linear_algebra import least_squares
 from cosim.core.text import amount, counted, percent, plain
 from cosim.core.units import DEGREES
 from cosim.logs.log import FULL_TURN, MISSING_ROW_STEPS, Finding, Log, Severity, name_list, noise_level
-from cosim.logs.model_comparison import input_unit_findings
+from cosim.logs.model_comparison import fit_slope, input_unit_findings, moving_part
 from cosim.logs.spikes import Spikes, find_spikes, out_of_line
 from cosim.model.traits import Traits, rate_of
 
@@ -22,11 +22,8 @@ SEVERITIES = ("fault", "warning", "note")
 INSEPARABLE_CORRELATION = 0.98  # correlation of two inseparable inputs
 SLOWER = 1.5  # ratio of the log's step to the model's from which the steps disagree
 SHORT_LOG_S = 10.0  # [s]; the first 2 s and whole windows of 2 s must leave enough rows
-STILL = 1e-9  # [unit of the signal] change below which only rounding is visible
 MIN_AGREEMENT = 0.9  # correlation of the change of a signal with the integral of its rate
 FAR_OFF = 8.0  # multiple of the noise
-MAX_INTEGRATED_PAUSE_S = 0.2  # [s] without a reading
-INTEGRAL_BLOCK_S = 0.5  # [s] over which a signal's change is compared with the integral of its rate
 
 
 def gate(
@@ -273,61 +270,41 @@ def frame_findings(log: Log, traits: Traits | None = None) -> Iterator[Finding]:
 
 
 def _against_rate(log: Log, name: str, rate: str, *, declared: bool) -> Iterator[Finding]:
-    """Yield findings from a comparison of a signal with the integral of its rate, Δy = s·∫ẏ dt + b·T over blocks.
+    """Yield findings from a comparison of a signal with the integral of its rate.
 
-    With consistent units, signs and sensors, s is 1 and b is 0.
+    With consistent units and signs, the slope of the signal over the integral is 1.
     """
-    good = np.flatnonzero(np.isfinite(log.outputs[name]) & np.isfinite(log.outputs[rate]))
-    time, values, rates = log.time[good], log.outputs[name][good], log.outputs[rate][good]
-    if time.size < 2:
+    good = np.isfinite(log.outputs[rate])
+    rates = np.interp(log.time, log.time[good], log.outputs[rate][good])
+    area = np.concatenate(([0.0], np.cumsum(0.5 * (rates[1:] + rates[:-1]) * np.diff(log.time))))
+    fit = fit_slope(log, log.outputs[name], area)
+    if fit is None:
         return
-    area = np.concatenate(([0.0], np.cumsum(0.5 * (rates[1:] + rates[:-1]) * np.diff(time))))
-    edges = np.flatnonzero(np.diff(np.floor((time - time[0]) / (INTEGRAL_BLOCK_S * log.slowness)), prepend=-1.0))
-    if edges.size < 2:
-        return
-    longest = np.maximum.reduceat(np.diff(time)[: edges[-1]], edges[:-1])
-    whole = longest < MAX_INTEGRATED_PAUSE_S * log.slowness  # over a pause, the integral is a guess
-    change, integral, length = (np.diff(part[edges])[whole] for part in (values, area, time))
-    if change.size < 8 or np.std(integral) == 0.0 or np.std(change) <= STILL:
-        return
-    rho = float(np.corrcoef(change, integral)[0, 1])
-    if abs(rho) < MIN_AGREEMENT:
-        moved, turned = float(np.std(change)), float(np.std(integral))
+    slope, severity = fit.slope, cast(Severity, "fault" if declared else "warning")
+    if abs(fit.correlation) < MIN_AGREEMENT:
+        moved, turned = (float(np.nanstd(moving_part(log, values))) for values in (log.outputs[name], area))
         if moved > FAR_OFF * noise_level(log.outputs[name]) and turned > 0.5 * moved:
             message = (
-                f"does not follow the integral of {rate} (correlation {plain(rho, 2)}), although both change by far "
-                "more than their noise: one of the two jumps or changes its sign within the log, or they belong to "
-                "different bodies"
+                f"does not follow the integral of {rate} (correlation {plain(fit.correlation, 2)}), although both "
+                "change by far more than their noise: one of the two jumps or changes its sign within the log, or they "
+                "belong to different bodies"
             )
             yield Finding("warning", "disagreement", name, message)
-        return
-    design = np.column_stack((integral, length))
-    slope, drift = least_squares(design, change)
-    residual = change - design @ (slope, drift)
-    sigma = math.sqrt(float(residual @ residual) / (change.size - 2))
-    error_slope, error_drift = sigma * np.sqrt(np.diag(np.linalg.inv(design.T @ design)))
-    severity: Severity = "fault" if declared else "warning"
-    if slope < 0.0:
+    elif slope < 0.0:
         message = (
-            f"has the opposite sign of d {name}/dt (slope {plain(float(slope))}); reverse the sign of one: the rate "
-            "must be positive while the signal increases"
+            f"has the opposite sign of d {name}/dt (slope {plain(slope)}); reverse the sign of one: the rate must be "
+            "positive while the signal increases"
         )
         yield Finding(severity, "sign", rate, message)
     elif any(0.7 < slope / scale < 1.4 for scale in (DEGREES, 1.0 / DEGREES)):
         degrees, other, unit = (name, rate, "deg") if slope > 1.0 else (rate, name, "deg/s")
-        ratio, cure = plain(float(max(slope, 1 / slope)), 3), f'Give the unit in the header, "{degrees} [{unit}]"'
-        if log.written.get(degrees):
-            headers = " and ".join(f'"{n} [{log.written[n]}]"' for n in (degrees, other) if log.written.get(n))
-            cure = f"The units in the header are {headers}; one of them is wrong"
-        message = f"is {ratio} times the value expected from {other}: one is in degrees, the other in radians. {cure}"
-        yield Finding(severity, "degrees", degrees, message)
-    elif abs(slope - 1.0) > max(0.03, 5.0 * error_slope):
+        written = " and ".join(f'"{n} [{log.written[n]}]"' for n in (degrees, other) if log.written.get(n))
+        cure = f'give the unit in the header, "{degrees} [{unit}]"' + (f", which has {written}" if written else "")
+        message = f"is {plain(max(slope, 1.0 / slope))} times the value expected from {other}: one is in degrees, the "
+        yield Finding(severity, "degrees", degrees, f"{message}other in radians; {cure}")
+    elif abs(slope - 1.0) > max(0.03, 5.0 * fit.error):
         message = (
-            f"integrates to {plain(float(1 / slope), 3)} times the change of {name}: a scale is wrong, or the "
-            "range of one sensor is limited"
+            f"integrates to {plain(1.0 / slope)} times the change of {name}: a scale is wrong, or the range of one "
+            "sensor is limited"
         )
         yield Finding("warning", "scale", rate, message)
-    if slope > 0.0 and abs(drift) > 5.0 * error_drift and abs(drift) > 0.003 * float(np.nanstd(log.outputs[rate])):
-        bias = amount(float(-drift / slope), log.units[rate], 2, difference=True)
-        message = f"is {bias} above d {name}/dt in the whole log: the sensor of {rate} or of {name} has a bias"
-        yield Finding("note", "drift", rate, message)
