@@ -7,8 +7,10 @@ per signal, with as many values as the time. An HDF5 file has one dataset per si
 
 from __future__ import annotations
 
+import gc
 import json
 import re
+import sys
 from collections.abc import Collection, Container, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from datetime import date
@@ -44,7 +46,11 @@ def _reading(path: Path, form: str, cure: str = "write it again") -> Iterator[No
         raise
     except Exception as error:
         reason = getattr(error, "strerror", None) or str(error).strip().partition("\n")[0][:200]
-        error.__traceback__ = error.__context__ = None  # a half-read file is closed here
+        # asammdf also raises errors when a half-read file object is deleted
+        hook, sys.unraisablehook = sys.unraisablehook, lambda _: None
+        error.__traceback__ = error.__context__ = None
+        gc.collect()
+        sys.unraisablehook = hook
         raise InputError.at(path, f"is an incomplete or invalid {form}: {reason}; {cure}") from None
 
 
