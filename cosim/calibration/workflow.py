@@ -186,7 +186,7 @@ def fit(
         if report and out is not None:
             from cosim.calibration.report import page
 
-            write_text(place / "report.html", page(record, estimate, parts))
+            write_text(place / "report.html", page(record, request, estimate, parts))
     if stop is not None:
         stop.left = place
         raise stop
