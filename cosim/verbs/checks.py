@@ -21,7 +21,7 @@ from cosim.core.text import some
 from cosim.files.artefact import Checking, artefacts, kind_by_keys, of_kind
 from cosim.files.files import FilePath
 from cosim.files.folders import name_of, new_run
-from cosim.verbs.cli import echo, say, say_json, show, table, warn
+from cosim.verbs.cli import say, say_json, show, table, warn
 
 if TYPE_CHECKING:
     from pydantic import BaseModel
@@ -39,7 +39,6 @@ STRUCTURE_TITLES = ("pairs", "connections", "dampings", "storages", "sensors", "
 MAX_LISTED_ITEMS = 8  # states, and items of an enumeration
 MAX_LISTED_PARAMETERS = 60  # parameters in the table; --all shows every one
 DIAGRAM_HEAD = 4096  # characters of a file that show whether it is a diagram
-MERMAID = "flowchart LR\n  n1["
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
 RESULT_SCHEMAS = {  # kind of result → class of its content
     "refine_result": "cosim.refinement.record:Record",
@@ -213,7 +212,7 @@ def info_command(
 
         most, logs = read_limits(limits) if limits else LIMITS, log or []
         for fmu in fmus:
-            read = [log_of_fmu(Path(name), fmu, alone=len(logs) == 1) for name in logs]
+            read = [log_of_fmu(Path(name), fmu) for name in logs]
             with compiling(compile):
                 probed[fmu] = probe_places(fmu, read, limits=most).as_json()
     pages: dict[Path, Path] = {}
@@ -312,7 +311,6 @@ def graph_command(
     scenario: Path,
     *,
     out: FilePath | None = None,
-    mermaid: bool = False,
     set: list[str] | None = None,
     open: bool = False,
     force: bool = False,
@@ -324,8 +322,7 @@ def graph_command(
 
     Args:
         scenario: A scenario, an SSP, or the manifest.json of a run.
-        out (--out -o PATH): Picture: FILE.svg, or FILE.mmd for Mermaid (default: NAME.svg).
-        mermaid: Print the picture as Mermaid text and write no file.
+        out (--out -o FILE.svg): Picture (default: NAME.svg).
         set (PATH=VALUE): Replace a value of the scenario, for example noise=off.
         force: Overwrite a file that is not a picture of a scenario.
 
@@ -334,21 +331,18 @@ def graph_command(
     from cosim.files.files import write_text
 
     graph = graph_of(scenario, set or ())
-    if mermaid:
-        say_json({"mermaid": graph.mermaid()}) if json else echo(graph.mermaid().rstrip("\n"))
-        return
     path = Path(f"{scenario.stem}.svg" if out is None else out)
     if not path.parent.is_dir():
         raise InputError.at(path, "its folder does not exist; create it first")
-    if path.suffix.lower() not in (".svg", ".mmd"):
-        raise InputError.at(path, "give an .svg or .mmd file")
+    if path.suffix.lower() != ".svg":
+        raise InputError.at(path, "give an .svg file")
     if path.exists() and not force:
         with path.open(encoding="utf-8", errors="replace") as stream:
-            head = stream.read(DIAGRAM_HEAD)
-        if not head.startswith(MERMAID) and 'class="diagram"' not in head:
+            is_diagram = 'class="diagram"' in stream.read(DIAGRAM_HEAD)
+        if not is_diagram:
             reason = "exists and is not a picture of a scenario; give another --out, or overwrite it with --force"
             raise InputError.at(path, reason)
-    write_text(path, graph.mermaid() if path.suffix.lower() == ".mmd" else graph.svg())
+    write_text(path, graph.svg())
     say(f"graph: {path}")
     if json:
         say_json({"graph": str(path)})

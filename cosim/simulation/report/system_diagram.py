@@ -13,7 +13,6 @@ import numpy as np
 from cosim.blocks.coupling import DEFAULT, Algorithm, algorithms
 from cosim.core.text import counted, written
 from cosim.files.results import Results
-from cosim.files.yaml_file import short
 from cosim.report.template import TEMPLATES, inline
 from cosim.simulation.report.recorded import Run, disturbances
 
@@ -137,30 +136,6 @@ class Graph:
             f"<style>{inline([TEMPLATES / name for name in STYLES[: 2 if alone else 1]])}</style>"
             f"{paper}{''.join(parts)}</svg>"
         )
-
-    def mermaid(self) -> str:
-        """Return the diagram as Mermaid text for GitHub, GitLab and editors."""
-
-        def safe(text: str) -> str:
-            return text.replace("&", "#amp;").replace('"', "#quot;").replace("<", "#lt;").replace(">", "#gt;")
-
-        place = {name: f"n{k}" for k, name in enumerate(self.about, 1)}
-        lines = ["flowchart LR"]
-        lines += [
-            f'  {place[name]}["{k} · {safe(name)}<br/>{safe(about)}"]'
-            for k, (name, about) in enumerate(self.about.items(), 1)
-        ]
-        pairs: dict[tuple[str, str, bool], list[str]] = {}
-        for link in self.links:
-            (source, _, output), (target, _, entry) = link.source.partition("."), link.target.partition(".")
-            units = list(dict.fromkeys(written(u) for u in link.units if u))
-            label = short(output if output == entry else f"{output} → {entry}")
-            label += f" [{' → '.join(units)}]" if units else ""
-            pairs.setdefault((source, target, link.held), []).append(safe(", ".join([label, *link.acting])))
-        for (source, target, held), labels in pairs.items():
-            start, end = ("-. ", " .->") if held else ("-- ", " -->")
-            lines.append(f'  {place[source]} {start}"{"<br/>".join(labels)}"{end} {place[target]}')
-        return "\n".join(lines) + "\n"
 
 
 def graph_of_run(run: Run) -> Graph | None:
