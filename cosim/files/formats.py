@@ -15,6 +15,7 @@ from collections.abc import Collection, Container, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from datetime import date
 from pathlib import Path
+from traceback import clear_frames
 from typing import Any
 from zipfile import ZipFile
 
@@ -46,9 +47,10 @@ def _reading(path: Path, form: str, cure: str = "write it again") -> Iterator[No
         raise
     except Exception as error:
         reason = getattr(error, "strerror", None) or str(error).strip().partition("\n")[0][:200]
-        # asammdf also raises errors when a half-read file object is deleted
+        # asammdf also raises errors when a half-read file object is deleted, which is a variable of its frames
         hook, sys.unraisablehook = sys.unraisablehook, lambda _: None
-        error.__traceback__ = error.__context__ = None
+        clear_frames(error.__traceback__)
+        error.__context__ = None
         gc.collect()
         sys.unraisablehook = hook
         raise InputError.at(path, f"is an incomplete or invalid {form}: {reason}; {cure}") from None
