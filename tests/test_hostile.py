@@ -151,7 +151,7 @@ a: &x {b: 1, "c d": 0o17, 'e''f': [yes, on, True, ~, null, 0x1f, 1e3, -.inf, 012
 g: |
   two
   lines
-h: {<<: *x, b: 2}
+h: {a: *x, b: 2}
 ? i
 : >-
   folded
