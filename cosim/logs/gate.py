@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from itertools import combinations
-from typing import cast
 
 import numpy as np
 
@@ -111,9 +110,6 @@ def _timing(log: Log) -> Iterator[Finding]:
         better = plain(2.0 * SHORT_LOG_S * log.slowness)
         message = f"the log lasts {amount(duration, 's')}; {better} s or more give better results"
         yield Finding("warning", "short", "time", message)
-    if abs(start := float(log.time[0])) > 1e6:
-        message = f"time starts at {start:.0f} s; the simulation uses this time unchanged"
-        yield Finding("note", "epoch", "time", message)
 
 
 def _rate(log: Log, rate: float) -> Iterator[Finding]:
@@ -182,11 +178,6 @@ def _outputs(log: Log) -> Iterator[Finding]:
     for name, values in log.outputs.items():
         good = np.isfinite(values)
         readings = values[good]
-        share = float(good.mean())
-        if share < 1.0:
-            interval = float(np.median(np.diff(log.time[good]))) if readings.size > 1 else math.nan
-            message = f"measured in {percent(share)} of the rows, every {amount(interval, 's')}"
-            yield Finding("note", "missing", name, message)
         if np.ptp(readings) <= 1e-12 * max(1.0, float(np.abs(readings).max())):
             message = (
                 f"is constant at {amount(float(readings[0]), log.units[name])} throughout; check that the sensor "
@@ -280,7 +271,8 @@ def _against_rate(log: Log, name: str, rate: str, *, declared: bool) -> Iterator
     fit = fit_slope(log, log.outputs[name], area)
     if fit is None:
         return
-    slope, severity = fit.slope, cast(Severity, "fault" if declared else "warning")
+    slope = fit.slope
+    severity: Severity = "fault" if declared else "warning"
     if abs(fit.correlation) < MIN_AGREEMENT:
         moved, turned = (float(np.nanstd(moving_part(log, values))) for values in (log.outputs[name], area))
         if moved > FAR_OFF * noise_level(log.outputs[name]) and turned > 0.5 * moved:
