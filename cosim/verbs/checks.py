@@ -16,7 +16,7 @@ import typer
 from cosim.core.errors import Crashed, Fault, InputError, NotExecuted, refuse
 from cosim.core.messages import with_prefix
 from cosim.core.registry import resolve
-from cosim.core.settings import Files, Given, ModelName, column_names
+from cosim.core.settings import Files, Given, ModelName
 from cosim.core.text import some
 from cosim.files.artefact import Checking, artefacts, kind_by_keys, of_kind
 from cosim.files.files import FilePath
@@ -86,10 +86,10 @@ def check(
     paths = [*map(Path, [files] if isinstance(files, (str, os.PathLike)) else files)]
     first = paths[0] if paths else Path("columns")
     names: dict[str, str] = {}
-    if texts := column_names(columns):
+    if columns:
         from cosim.logs.log import read_column_names
 
-        names = read_column_names(texts, first)
+        names = read_column_names(columns, first)
     with compiling(compile):
         if permission.get() and not load:
             text = "needs to load FMUs, but --no-load (in Python load=False) forbids it; remove one of them"
