@@ -218,7 +218,7 @@ def covariance(likelihood: Likelihood) -> Covariance:
     moves = [inverse(information - OMITTED_SHARE * weight) @ score for weight, score in weights]
     deviations = np.sqrt(np.sum(np.square(moves), axis=0) * (count - 1) / count)
     white = np.sqrt(np.maximum(0.0, np.diag(matrix)))
-    halves = np.maximum(float(stdtrit(max(1, count - 1), 0.975)) * deviations, NORMAL_95 * white)
+    halves = np.maximum(float(stdtrit(count - 1, 0.975)) * deviations, NORMAL_95 * white)
     sums = sum(np.nansum(likelihood.best.tables[k][rows], axis=0) ** 2 for k, rows in blocks)
     colour = sums / np.maximum(sum(np.nansum(table**2, axis=0) for table in likelihood.best.tables), 1e-300)
     return Covariance(matrix, halves, np.asarray(colour))
