@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 import shutil
-import struct
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
@@ -44,31 +43,6 @@ def zeros(path: Path, megabytes: int, name: str = "resources/zeros") -> Path:
     return path
 
 
-def directory_of(raw: bytes) -> tuple[int, int]:
-    """Where the directory of an archive begins and ends."""
-    size, offset = struct.unpack_from("<II", raw, raw.rfind(b"PK\x05\x06") + 12)
-    return offset, offset + size
-
-
-def sharing(path: Path) -> None:
-    """Two files of 1 MB that are the same bytes of the archive."""
-    archive(path, **{"resources/z": bytes(1_000_000)})
-    raw = path.read_bytes()
-    begin, end = directory_of(raw)
-    last = raw[raw.rfind(b"PK\x01\x02", begin, end) : end]
-    count = struct.unpack_from("<H", raw, end + 10)[0] + 1
-    tail = struct.pack("<4sHHHHIIH", b"PK\x05\x06", 0, 0, count, count, end - begin + len(last), begin, 0)
-    path.write_bytes(raw[:end] + last.replace(b"resources/z", b"resources/y") + tail)
-
-
-def linked(path: Path) -> None:
-    archive(path)
-    with zipfile.ZipFile(path, "a") as packed:
-        link = zipfile.ZipInfo("binaries/linux64/m.so")
-        link.external_attr = 0o120777 << 16
-        packed.writestr(link, "/etc/passwd")
-
-
 def described(text: str) -> Callable[[Path], object]:
     return lambda path: archive(path, text)
 
@@ -81,8 +55,6 @@ ENTITIES = DESCRIPTION.replace(
 ).replace('modelName="m"', 'modelName="&i;"')
 HOSTILE: dict[str, tuple[Callable[[Path], object], str]] = {
     "bomb": (lambda p: zeros(p, 1074), "1074 MB"),
-    "sharing": (sharing, "share bytes"),
-    "link": (linked, "is a link"),
     "parent": (lambda p: archive(p, **{"resources/../../../evil": b""}), "outside its folder"),
     "drive": (lambda p: archive(p, **{"C:/evil": b""}), "outside its folder"),
     "entities": (described(ENTITIES), "DOCTYPE"),
@@ -179,7 +151,7 @@ a: &x {b: 1, "c d": 0o17, 'e''f': [yes, on, True, ~, null, 0x1f, 1e3, -.inf, 012
 g: |
   two
   lines
-h: {<<: *x, b: 2}
+h: {a: *x, b: 2}
 ? i
 : >-
   folded

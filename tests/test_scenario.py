@@ -186,16 +186,13 @@ def test_a_step_that_the_sample_time_follows_is_no_fault(project: Path) -> None:
     build_system(ScenarioFile(path, ["step=0.05", "components.controller.start.sample_time=0.05"]))
 
 
-def test_aliases_and_merged_keys_are_taken(tmp_path: Path) -> None:
+def test_aliases_are_taken(tmp_path: Path) -> None:
     path = tmp_path / "case.yaml"
     path.write_text(
-        "name: x\nduration: 1\nstep: 0.5\ncomponents:\n"
-        "  a: &a {block: reference, signals: {u: {start: 1}}}\n  b: *a\n"
-        "  c: {<<: *a, signals: {v: {start: 2}}}\n"
+        "name: x\nduration: 1\nstep: 0.5\ncomponents:\n  a: &a {block: reference, signals: {u: {start: 1}}}\n  b: *a\n"
     )
     scenario = ScenarioFile(path).scenario
     assert scenario.components["b"] == scenario.components["a"]
-    assert list(scenario.components["c"].signals) == ["v"]  # type: ignore[union-attr]
 
 
 def test_characters_in_two_halves_as_json_writes_them_are_made_whole(tmp_path: Path) -> None:

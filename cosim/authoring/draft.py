@@ -34,7 +34,6 @@ GUESSED_STOP_S, GUESSED_STEPS = 1.0, 500  # defaults if the FMUs declare none: d
 SPELLING = str.maketrans({"ä": "ae", "ö": "oe", "ü": "ue", "ß": "ss"})
 MAX_NAME_LENGTH = 24  # characters of a component's name, which precedes every signal
 MAX_FIRST_RUN_STEPS = 20_000  # maximum number of steps of a first run, so that it is short
-MAX_PORTS = 6  # inputs and outputs in a message
 BY = "# Written by `cosim {}`."
 MAX_DRAFT_PARAMETERS = 12  # shown per FMU
 PLAIN_SCALAR = re.compile(r"[A-Za-z_][\w.]*")
@@ -203,8 +202,6 @@ def write_draft(path: Path, fmus: Sequence[Path]) -> tuple[Matches, str, list[st
     Raises:
         InputError: An FMU is faulty, no output fits an input, or `path` exists.
     """
-    if path.is_dir():
-        raise InputError.at(path, "is a folder; give the file to write as --out")
     if path.exists():
         raise InputError.at(path, "already exists and is never overwritten; give another --out, or move the file")
     if path.suffix.lower() not in (".yaml", ".yml"):
@@ -221,12 +218,11 @@ def write_draft(path: Path, fmus: Sequence[Path]) -> tuple[Matches, str, list[st
         for guess in (m for m in every if m.guess):
             kept += [guess] if _algorithm(parts, [*kept, guess]) is DEFAULT else []
         dropped = tuple((m.target, (text(m.source), *m.others)) for m in every if m not in kept)
-        matches = Matches(tuple(m for m in every if m in kept), (*matches.unconnected, *dropped), matches.choices)
+        matches = Matches(tuple(m for m in every if m in kept), (*matches.unconnected, *dropped))
     if len(parts) > 1 and not matches.any_candidate:
         names = " and ".join(path.name for path in fmus)
-        lists = (", ".join(f"{text(p)} [{p[1].unit or p[1].kind}]" for p in s[:MAX_PORTS]) for s in (outputs, inputs))
-        reason = "{} cannot be connected: no output ({}) fits an input of another FMU ({}) by type, unit and size"
-        raise InputError.at(fmus[0], f"{reason.format(names, *lists)}; `cosim simulate` runs each by itself")
+        reason = f"{names} cannot be connected: no output fits an input of another FMU by type, unit and size"
+        raise InputError.at(fmus[0], f"{reason}; `cosim info` lists them, `cosim simulate` runs each FMU by itself")
     times = times_of(parts)
     algorithm = _algorithm(parts, matches.connections)
     with draft_of(path) as draft:
@@ -266,15 +262,13 @@ def scenario_text(
         played: Recording that supplies inputs (its connections come first), and its interpolation.
         verb: Command that writes the scenario.
     """
-    guesses, choices = sum(bool(m.guess) for m in matches.connections), len(matches.choices)
+    guesses = sum(bool(m.guess) for m in matches.connections)
     lines = [
         BY.format(verb) + " It runs unchanged: try `cosim run`, `cosim check` and `cosim graph`.",
         "# docs/scenario.md and `cosim schema scenario` describe all keys.",
     ]
     if guesses:
         lines.append(f"# Guessed connections below, marked as a guess: {guesses}. Check them first.")
-    if choices:
-        lines.append(f"# Unconnected inputs with several fitting outputs: {choices}. Uncomment the right connections.")
     lines += [
         f"name: {'_'.join(dict.fromkeys(p.name for p in parts))[:60]}",
         f"duration: {times.duration:.12g} # s: {times.why_duration}",
@@ -345,9 +339,8 @@ def _connections(matches: Matches) -> Iterator[str]:
         yield f"  - {{from: {scalar(text(m.source))}, to: {scalar(text(m.target))}}} # {_comment('; '.join(why))}"
     for port, candidates in matches.unconnected:
         unit = f", {_comment(port[1].unit)}" if port[1].unit else ""
-        alike = len(matches.choices.get(text(port), ()))
-        choice = f"; the first {alike} fit equally well:" if alike else "; fits:" if candidates else ""
-        yield f"  # {_comment(text(port))}{unit}: not connected, keeps its start value{choice}"
+        fits = "; outputs that fit, the most likely first:" if candidates else ""
+        yield f"  # {_comment(text(port))}{unit}: not connected, keeps its start value{fits}"
         yield from (f"  # - {{from: {scalar(c)}, to: {scalar(text(port))}}}" for c in candidates)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from difflib import SequenceMatcher
 from functools import cache
 from types import MappingProxyType
@@ -48,13 +48,11 @@ class Matches:
 
     Attributes:
         connections: Connections in the order of the inputs.
-        unconnected: Unconnected inputs, each with the outputs that would fit.
-        choices: Unconnected inputs for which several outputs are equally likely.
+        unconnected: Unconnected inputs, each with the outputs that would fit, the most likely first.
     """
 
     connections: tuple[Match, ...]
     unconnected: tuple[tuple[Port, tuple[str, ...]], ...]
-    choices: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     @property
     def any_candidate(self) -> bool:
@@ -141,7 +139,7 @@ def match_ports(
             fitting = dict.fromkeys(map(text, [*choices.get(name, ()), *candidates[name]]))
             unconnected.append((target, tuple(fitting)[:MAX_CANDIDATES]))
     ordered = tuple(connections[name] for name in map(text, inputs) if name in connections)
-    return Matches(ordered, tuple(unconnected), {name: tuple(map(text, ports)) for name, ports in choices.items()})
+    return Matches(ordered, tuple(unconnected))
 
 
 def _alike(ranked: Sequence[tuple[float, Port]]) -> list[Port]:

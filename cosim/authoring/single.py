@@ -28,7 +28,7 @@ from cosim.core.arrays import Array
 from cosim.core.drafts import draft_of
 from cosim.core.errors import Fault, InputError, refuse
 from cosim.core.messages import Note
-from cosim.core.settings import Given, Names, PositiveSeconds, Seconds, column_names, normalize_settings
+from cosim.core.settings import Given, Names, PositiveSeconds, Seconds, normalize_settings
 from cosim.core.text import did_you_mean, split_assignment
 from cosim.core.times import STEP_COUNT_TOLERANCE, difference
 from cosim.core.units import computed_in
@@ -103,7 +103,7 @@ def simulate(
         first, matches, notes = experiment_of(description).get("start"), Matches((), ()), list[str]()
         source, end, usual = path, stop, None
         if csv is not None:
-            matches, unused, time = _read_recording(csv, part, read_column_names(column_names(columns), csv))
+            matches, unused, time = _read_recording(csv, part, read_column_names(columns, csv))
             if unused:
                 text_ = f"{csv.name}: {part.name} has no inputs {', '.join(unused)}; these columns are ignored"
                 notes.append(Note(text_))

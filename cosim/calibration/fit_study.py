@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 from pydantic import BaseModel, ConfigDict
 
 from cosim.core.errors import Fault, InputError, refuse
-from cosim.core.settings import texts
+from cosim.core.settings import Given, texts
 from cosim.core.text import did_you_mean, split_assignment
 from cosim.core.units import split_quantity
 from cosim.files.artefact import FIT_STUDY, LOG, STUDY
@@ -114,7 +114,7 @@ def request_of(
     sealed: Sequence[FilePath] = (),
     per_log: Sequence[str] = (),
     profile: Sequence[str] = (),
-    columns: Sequence[str] = (),
+    columns: Given | None = None,
     limits: str = "",
 ) -> Request:
     """Return the request from the options of `fit`, or from the study that replaces the logs.
@@ -232,8 +232,7 @@ def read_input(request: Request) -> FitInput:
     twice = "is given twice; use a log either for the estimate or as a sealed log"
     faults += [request.log_fault(k, twice) for k, p in enumerate(paths) if p in paths[:k]]
     refuse(faults if not existing or (yaml is not None and not fmu.exists()) else ())
-    alone = len(existing) == 1
-    logs = [attempt(log_of_fmu, None, path, fmu, request.columns, alone=alone) for path in existing]
+    logs = [attempt(log_of_fmu, None, path, fmu, request.columns) for path in existing]
     refuse(faults if any(f.file == fmu for f in faults) or not any(logs) else ())
     given = attempt(start_values, {}, fmu, request.start, lambda n, text: request.fault(("start", n), text))
     parameters: list[Parameter] = attempt(_parameters, [], request, read_description(fmu), given)

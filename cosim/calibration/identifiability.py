@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
 from cosim.calibration.fit_record import ChoiceEntry, CombinationEntry, Form, ProfileEntry
 from cosim.calibration.likelihood import Likelihood
 from cosim.core.arrays import Array, Flags, Rows
-from cosim.core.linear_algebra import least_squares, orthonormal, square_roots
+from cosim.core.linear_algebra import least_squares, orthonormal
 from cosim.core.text import join_names, plain
-from cosim.estimation.fit import inverse as scaled_inverse
+from cosim.estimation.fit import inverse
 from cosim.logs.log import NORMAL_95
 from cosim.residuals.residual_statistics import finite
 
@@ -49,6 +47,8 @@ def screen(likelihood: Likelihood) -> tuple[list[ChoiceEntry], Flags]:
                 return np.concatenate([(side * t / sigma)[g] for t, g in zip(tables, good, strict=True)])
         return None
 
+    from scipy.linalg import qr
+
     names, effects, reasons = list[str](), list[float](), list[str]()
     columns, nuisance = list[Array](), list[Array]()
     for j, unknown in enumerate(likelihood.unknowns):
@@ -65,19 +65,16 @@ def screen(likelihood: Likelihood) -> tuple[list[ChoiceEntry], Flags]:
     matrix = np.column_stack(columns)
     starts = np.column_stack(nuisance) if nuisance else np.zeros((matrix.shape[0], 0))
     sizes, matrix = np.linalg.norm(matrix, axis=0), _without(matrix, starts)
-    chosen, rest, least = list[int](), matrix.copy(), 1.96 / MAX_HALF_WIDTH
-    while True:  # pivoted QR
-        left = np.linalg.norm(rest, axis=0)
-        fits = [
-            i for i, r in enumerate(reasons) if not r and left[i] >= max(least, MIN_OWN_SHARE * max(sizes[i], 1e-300))
-        ]
-        if not fits:
-            break
-        best = max(fits, key=lambda i: (round(math.log10(left[i]), 3), -i))
-        chosen.append(best)
-        reasons[best] = f"its interval is at best ± {plain(196.0 / left[best], 2)} % of its value"
-        direction = rest[:, best] / left[best]
-        rest = rest - np.outer(direction, direction @ rest)
+    candidates, least = np.flatnonzero([not reason for reason in reasons]), 1.96 / MAX_HALF_WIDTH
+    sound = np.nan_to_num(matrix[:, candidates])
+    triangle, order = qr(sound, mode="r", pivoting=True) if candidates.size else (sound, candidates)
+    left = np.abs(np.diag(triangle))  # size of each effect that the effects before do not reproduce
+    kept = [
+        (i, own) for i, own in zip(candidates[order], left, strict=False) if own >= max(least, MIN_OWN_SHARE * sizes[i])
+    ]
+    chosen = [i for i, _ in kept]
+    for i, own in kept:
+        reasons[i] = f"its interval is at best ± {plain(196.0 / own, 2)} % of its value"
     for i in (i for i, reason in enumerate(reasons) if not reason):
         if chosen and np.linalg.norm(matrix[:, i]) >= least:
             weights = least_squares(matrix[:, chosen], matrix[:, i])
@@ -175,19 +172,12 @@ def find_combination(likelihood: Likelihood) -> tuple[CombinationEntry | None, A
 # -- intervals ------------------------------------------------------------------------------------
 
 
-# The estimate is θ̂ = θ + A⁻¹·Σ_t K_t'·e_t with K = J/σ², A = J'·J/σ². The residuals of each output are modelled as an
-# autoregression e = ε/a(q), so that Σ K'·e = Σ K̃'·ε, where K̃ is K filtered backwards by 1/a. The sandwich A⁻¹·(Σ
-# K̃'·S·K̃)·A⁻¹ with the covariance S of ε is also valid for residuals that are not white.
-#
 # A profile is the deviance 2·(max ln L − ln L) as a function of one parameter, with all others estimated again at each
 # value. Its interval is asymmetric if the model is nonlinear in the parameter.
 
 
-MOST_LAGS = 30  # largest order of an autoregression
-VALUES_PER_LAG = 8  # values for each lag
-MANY_RESIDUALS = 50.0  # independent residuals per unknown, above which Student's factor is accurate
-REPEATED_DRAWS, DRAWS_SEED = 99, 1  # repetitions of the bootstrap for few residuals
-SETTLING_ORDERS = 20  # initial transient of repeated residuals, as a multiple of the largest order
+BLOCKS = 8  # blocks of time of all logs, of which each is long compared with the correlation of residuals
+OMITTED_SHARE = 0.9  # of the weight of a block; the rest keeps start values determined that only this block shows
 PROFILE_DOUBLINGS = 6  # of the distance from the estimate at which the end of a profile is searched
 PROFILE_END_TOLERANCE = 0.005  # tolerance of the end of a profile's interval, in half-widths
 
@@ -197,90 +187,41 @@ class Covariance:
     """Covariance of the estimates.
 
     Attributes:
-        matrix: Covariance of all unknowns.
+        matrix: Covariance of all unknowns, assuming white residuals.
         halves: Half-width of the 95 % interval of each unknown.
-        white: Standard deviation of each unknown, assuming white residuals.
         colour: Channel → variance of the mean of its residuals, relative to white residuals.
     """
 
     matrix: Array
     halves: Array
-    white: Array
     colour: Array
 
 
-class Autoregression(NamedTuple):
-    """Residuals e of a channel: a(q)·e = ε, ε white with variance `variance`."""
-
-    a: Array
-    variance: float
-    colour: float
-
-
 def covariance(likelihood: Likelihood) -> Covariance:
-    """Return the covariance of the estimates at the best point."""
-    from scipy.signal import lfilter
+    """Return the covariance of the estimates at the best point, and their intervals.
+
+    The intervals come from the jackknife over blocks of time, which allows for residuals that are not white: without
+    block b, the estimate moves by (A − A_b)⁻¹·g_b, with the information A and the score g of `weight_of`. They are at
+    least as wide as for white residuals.
+    """
     from scipy.special import stdtrit
 
-    point, slopes = likelihood.best, likelihood.slopes
-    sigma, unknowns = point.sigma, point.x.size
-    weighted = [(s / sigma[:, None])[np.isfinite(t)] for s, t in zip(slopes, point.tables, strict=True)]
-    information = np.diag(likelihood.precision) + sum(rows.T @ rows for rows in weighted)
-    inverse = scaled_inverse(information)
-
-    def sandwich(tables: Sequence[Array]) -> tuple[Array, Array, Sequence[Autoregression]]:
-        """Return the covariance of the estimates, a square root of that of the innovations, and autoregressions."""
-        models = [_autoregression([t[np.isfinite(t[:, c]), c] for t in tables]) for c in range(sigma.size)]
-        innovations, filtered = [], []
-        for table, slope in zip(tables, slopes, strict=True):
-            whitened, smoothed = np.full(table.shape, np.nan), np.zeros(slope.shape)
-            for c, model in enumerate(models):
-                rows = np.isfinite(table[:, c])
-                whitened[rows, c] = lfilter(model.a, [1.0], table[rows, c])
-                backwards = (slope[rows, c] / sigma[c] ** 2)[::-1]
-                smoothed[rows, c] = lfilter([1.0], model.a, backwards, axis=0)[::-1]
-            innovations.append(whitened)
-            filtered.append(smoothed)
-        good = np.isfinite(together := np.vstack(innovations))
-        values = np.where(good, together, 0.0)  # of each pair of channels, from rows with both
-        root = square_roots(values.T @ values / np.maximum(good.T.astype(float) @ good, 1.0))
-        spread, middle = root @ root.T, np.diag(likelihood.precision)
-        for smoothed in filtered:
-            parts = smoothed.transpose(1, 0, 2)
-            for c, d in np.argwhere(spread != 0.0).tolist():
-                middle = middle + spread[c, d] * parts[c].T @ parts[d]
-        total = sum(int(np.isfinite(t).sum()) for t in tables)
-        middle = middle * total / max(1, total - unknowns)
-        return inverse @ middle @ inverse, root, models
-
-    matrix, root, models = sandwich(point.tables)
-    colour, white = np.array([m.colour for m in models]), np.sqrt(np.maximum(0.0, np.diag(inverse)))
-    freedom = max(1.0, float(np.sum(point.counts / np.maximum(1.0, colour))) - unknowns)
-    factors, roots = np.full(unknowns, float(stdtrit(freedom, 0.975))), np.sqrt(np.maximum(0.0, np.diag(matrix)))
-    if freedom >= MANY_RESIDUALS * unknowns:
-        return Covariance(matrix, factors * roots, white, colour)
-    # In each repetition the autoregressions generate new residuals. The linearized estimate and its standard deviation
-    # are computed from them as from the log (bootstrap-t). This accounts for the slow residuals that the parameters
-    # absorb, and for the uncertain autoregressions.
-    rng, ratios = np.random.default_rng(DRAWS_SEED), []
-    settling = SETTLING_ORDERS * MOST_LAGS
-    for _ in range(REPEATED_DRAWS):
-        drawn = []
-        for table in point.tables:
-            noise = rng.standard_normal((table.shape[0] + settling, root.shape[0])) @ root.T
-            residual = np.full(table.shape, np.nan)
-            for c, model in enumerate(models):
-                rows = np.isfinite(table[:, c])
-                residual[rows, c] = lfilter([1.0], model.a, noise[:, c])[settling:][: int(rows.sum())]
-            drawn.append(residual)
-        gradient = sum(
-            np.einsum("tci,tc->i", np.nan_to_num(s), np.nan_to_num(e) / sigma**2)
-            for s, e in zip(slopes, drawn, strict=True)
-        )
-        shift = -inverse @ gradient
-        repeated, _, _ = sandwich([e + s @ shift for s, e in zip(slopes, drawn, strict=True)])
-        ratios.append(np.abs(shift) / np.sqrt(np.maximum(np.diag(repeated), 1e-300)))
-    return Covariance(matrix, np.maximum(factors, np.quantile(ratios, 0.95, axis=0)) * roots, white, colour)
+    sizes = [len(table) for table in likelihood.best.tables]
+    blocks = [
+        (k, rows)
+        for k, size in enumerate(sizes)
+        for rows in np.array_split(np.arange(size), max(1, round(BLOCKS * size / sum(sizes))))
+    ]
+    weights = [likelihood.weight_of(k, rows) for k, rows in blocks]
+    information = np.diag(likelihood.precision) + sum(weight for weight, _ in weights)
+    matrix, count = inverse(information), len(blocks)
+    moves = [inverse(information - OMITTED_SHARE * weight) @ score for weight, score in weights]
+    deviations = np.sqrt(np.sum(np.square(moves), axis=0) * (count - 1) / count)
+    white = np.sqrt(np.maximum(0.0, np.diag(matrix)))
+    halves = np.maximum(float(stdtrit(count - 1, 0.975)) * deviations, NORMAL_95 * white)
+    sums = sum(np.nansum(likelihood.best.tables[k][rows], axis=0) ** 2 for k, rows in blocks)
+    colour = sums / np.maximum(sum(np.nansum(table**2, axis=0) for table in likelihood.best.tables), 1e-300)
+    return Covariance(matrix, halves, np.asarray(colour))
 
 
 def profile(likelihood: Likelihood, spread: Covariance, j: int) -> ProfileEntry | None:
@@ -291,11 +232,11 @@ def profile(likelihood: Likelihood, spread: Covariance, j: int) -> ProfileEntry 
     """
     from scipy.optimize import brentq
 
-    best, half = likelihood.best, float(spread.halves[j])
-    if not (math.isfinite(half) and half > 0.0 and spread.white[j] > 0.0):
+    best, half, variance = likelihood.best, float(spread.halves[j]), float(spread.matrix[j, j])
+    if not (half > 0.0 and variance > 0.0):
         return None
     others, centre = np.arange(best.x.size) != j, float(best.x[j])
-    scale = (NORMAL_95 * float(spread.white[j]) / half) ** 2
+    scale = NORMAL_95**2 * variance / half**2
     deviances, unknowns = {centre: 0.0}, {centre: best.x[others]}
 
     def excess(value: float) -> float:
@@ -328,33 +269,3 @@ def profile(likelihood: Likelihood, spread: Covariance, j: int) -> ProfileEntry 
     ci95 = end(-1.0), end(1.0)
     values = sorted(deviances)
     return ProfileEntry(values=values, deviance=[deviances[v] for v in values], ci95=ci95)
-
-
-def _autoregression(parts: Sequence[Array]) -> Autoregression:
-    """Return the autoregression of a channel by Burg's method; Akaike's criterion selects the order.
-
-    Args:
-        parts: Residuals of each log without missing values.
-    """
-    parts = [p for p in parts if p.size]
-    count = sum(p.size for p in parts)
-    square = sum(float(p @ p) for p in parts) / max(1, count)
-    a, best = np.ones(1), Autoregression(np.ones(1), square, 1.0)
-    if square <= 0.0:
-        return best
-    forward, backward, variance, least = list(parts), list(parts), square, count * math.log(square)
-    for order in range(1, min(MOST_LAGS, count // VALUES_PER_LAG) + 1):
-        forward, backward = [f[1:] for f in forward], [b[:-1] for b in backward]
-        products = [(float(f @ b), float(f @ f + b @ b)) for f, b in zip(forward, backward, strict=True)]
-        size = sum(size for _, size in products)
-        # reflection coefficient with the smallest prediction error
-        k = -2.0 * sum(cross for cross, _ in products) / size if size > 0.0 else 0.0
-        longer = np.append(a, 0.0)
-        a = longer + k * longer[::-1]
-        variance *= max(1e-12, 1.0 - k * k)
-        pairs = [(f + k * b, b + k * f) for f, b in zip(forward, backward, strict=True)]
-        forward, backward = [f for f, _ in pairs], [b for _, b in pairs]
-        criterion = count * math.log(variance) + 2.0 * order * count / max(1, count - order - 2)
-        if criterion < least:
-            least, best = criterion, Autoregression(a, variance, variance / float(np.sum(a)) ** 2 / square)
-    return best

@@ -17,7 +17,7 @@ from types import MappingProxyType
 import numpy as np
 
 from cosim.calibration.fit_study import Parameter
-from cosim.core.arrays import Array, Flags, NamedValues
+from cosim.core.arrays import Array, Flags, NamedValues, Rows
 from cosim.core.errors import SimulationError
 from cosim.residuals.drive import Drive, as_columns
 from cosim.residuals.windows import first_start, free_run, self_started, sigma_of, start_parameters
@@ -28,6 +28,7 @@ MAX_EVALUATIONS = 40
 # gain of a step in log-likelihood, corresponding to one standard error, after which the next step is negligible
 SETTLED_GAIN = 0.5
 MIN_RELATIVE_STEP = 1e-4  # step size without expected gain, relative to the size of the unknowns
+ALL_ROWS = slice(None)
 Jacobian = list[Array]  # per log: array (rows, channels, unknowns); NaN where the residual is NaN
 
 
@@ -218,6 +219,13 @@ class Likelihood:
         if len(sides) == 2:
             return np.asarray((sides[0][1] - sides[1][1]) / (2.0 * size))
         return (sides[0][1] - self.best.tables[k]) / sides[0][0] if sides else None
+
+    def weight_of(self, k: int, rows: Rows | slice = ALL_ROWS) -> tuple[Array, Array]:
+        """Return information matrix and score of the residuals in some rows of log k, at the best point."""
+        table, slopes = self.best.tables[k][rows], self.slopes[k][rows]
+        good = np.isfinite(table)
+        design = (slopes / self.best.sigma[:, None])[good]
+        return design.T @ design, design.T @ (table / self.best.sigma)[good]
 
     def maximize(self, report: Callable[[int], None]) -> bool:
         """Move from the best point to the maximum likelihood by scipy's trust region; return True after convergence.

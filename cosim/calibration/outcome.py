@@ -299,16 +299,9 @@ def _without(likelihood: Likelihood, k: int, values: Values) -> dict[str, float]
     With the slopes S and errors e of a log, weighted by the noise, and the precision P of the priors, the step is
     (Σ S'·S + P)⁻¹·S_k'·e_k, where the sum is over the other logs.
     """
-    sigma, information = likelihood.best.sigma, np.diag(likelihood.precision)
-    gradient = np.zeros(likelihood.best.x.size)
-    for place, (slope, table) in enumerate(zip(likelihood.slopes, likelihood.best.tables, strict=True)):
-        good = np.isfinite(table)
-        rows = (slope / sigma[:, None])[good]
-        if place == k:
-            gradient = rows.T @ (table / sigma)[good]
-        else:
-            information = information + rows.T @ rows
-    moved = np.clip(likelihood.best.x + inverse(information) @ gradient, likelihood.low, likelihood.high)
+    weights = [likelihood.weight_of(place) for place in range(len(likelihood.slopes))]
+    information = np.diag(likelihood.precision) + sum(weight for weight, _ in weights) - weights[k][0]
+    moved = np.clip(likelihood.best.x + inverse(information) @ weights[k][1], likelihood.low, likelihood.high)
     names = {u.name for u in likelihood.unknowns if u.log is None}
     changed = {n: v for n, v in likelihood.values(moved, k).items() if n in names}
     return {**values, **changed} if len(likelihood.slopes) > 1 else dict(values)

@@ -12,6 +12,7 @@ import numpy as np
 from cosim.blocks.compiling import permission
 from cosim.calibration.estimate import Estimate
 from cosim.calibration.fit_record import LogEntry, ParameterEntry, Record
+from cosim.calibration.fit_study import Request
 from cosim.calibration.outcome import Part
 from cosim.core.text import MISSING, counted, displayed, join_names, plain, shown_unit, split_sentence
 from cosim.logs.log import NORMAL_95
@@ -22,13 +23,15 @@ from cosim.residuals.compare import horizon_name
 
 TEMPLATE = Path(__file__).with_name("templates") / "fit.html.j2"
 MOST_OUTPUTS = 8  # with a chart
-CURVE = 80  # points of a drawn profile
 STRONG = 0.95  # correlation of two estimates that is reported
 
 
-def page(record: Record, estimate: Estimate, parts: Sequence[Part]) -> str:
+def page(record: Record, request: Request, estimate: Estimate, parts: Sequence[Part]) -> str:
     """Return the self-contained HTML page of a fit."""
     charts = Charts()
+    options = {"--vary": request.vary, "--start": request.start, "--sealed": record.sealed}
+    options |= {"--per-log": request.per_log, "--profile": request.profile, "--column": assignments(request.columns)}
+    repeat = command("cosim", "fit", *record.logs, "--fmu", record.fmu, options=options)
     headline, details = split_sentence(record.sentence)
     verdict, tone = str(record.verdict), {"improved": "good", "worse": "bad"}.get(record.verdict, "plain")
     if verdict == "improved" and not estimate.settled:  # not counted as success yet
@@ -68,7 +71,7 @@ def page(record: Record, estimate: Estimate, parts: Sequence[Part]) -> str:
         "strong": join_names(strong),
         "units": {n: u for d in estimate.logs.drives for n, u in d.log.units.items()},
         **{f.__name__: f for f in (displayed, horizon_name, interval, number, Path)},
-        "repeat": _repeat(record, estimate),
+        "repeat": f"{repeat} --compile" if permission.get() else repeat,
         "provenance": [
             Row("FMU", record.fmu),
             Row("Logs of the estimate", "\n".join(record.logs)),
@@ -98,11 +101,7 @@ def _profile_plot(name: str, p: ParameterEntry, charts: Charts) -> Plot:
     assert p.profile is not None
     values, deviance = displayed(np.array(p.profile.values), p.unit), np.array(p.profile.deviance)
     ends = float(values[0]), float(values[-1])
-    from scipy.interpolate import PchipInterpolator
-
-    roots = np.sign(values - displayed(p.value, p.unit)) * np.sqrt(deviance)  # nearly a straight line
-    grid = np.linspace(*ends, CURVE)
-    curve = Trace("deviance", PchipInterpolator(values, roots)(grid) ** 2, "true", x=grid)
+    curve = Trace("deviance", deviance, "true", x=values)
     points = Trace("fits", deviance, "s0 dots", x=values)
     level = Trace("95 %", np.full(2, NORMAL_95**2), "reference", x=np.array(ends))
     return charts.alone(Panel(f"Profile of {name}", "1", [curve, points, level]), ends, (name, shown_unit(p.unit)))
@@ -117,21 +116,3 @@ def interval(entry: ParameterEntry | LogEntry) -> str:
     digits = 2 + max(0, math.ceil(math.log10(centre / half))) if half > 0.0 and centre > half else 3
     ends = " … ".join(plain(end, min(digits, 8)) for end in (low, high))
     return f"{ends} {shown_unit(entry.unit)}".strip()
-
-
-def _repeat(record: Record, estimate: Estimate) -> str:
-    """Return the command that repeats the fit."""
-    vary = []
-    for name, p in record.parameters.items():
-        prior = "" if p.tolerance is None else f"={100.0 * p.tolerance / abs(p.start):g}%"
-        vary.append(name + (prior or ("" if p.low is None or p.high is None else f"={p.low!r}..{p.high!r}")))
-    options = {
-        "--vary": vary,
-        "--start": assignments(record.given),
-        "--sealed": record.sealed,
-        "--per-log": dict.fromkeys(entry.name for entry in record.per_log),
-        "--profile": estimate.profiles,
-        "--column": assignments({c: n for d in estimate.logs.drives for c, n in d.log.called.items()}),
-    }
-    text = command("cosim", "fit", *record.logs, "--fmu", record.fmu, options=options)
-    return f"{text} --compile" if permission.get() else text

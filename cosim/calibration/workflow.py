@@ -23,7 +23,7 @@ from cosim.calibration.outcome import Part, credibility_of, prove, write_record
 from cosim.core.drafts import draft_of
 from cosim.core.errors import FmuError, InputError, SimulationError, Terminated, TimedOut, refuse, stop_error
 from cosim.core.messages import Note
-from cosim.core.settings import Files, Given, Names, column_names, texts
+from cosim.core.settings import Files, Given, Names, texts
 from cosim.core.text import join_names, showing
 from cosim.credibility.record import attach
 from cosim.files.archive import DESCRIPTION, description_of
@@ -100,7 +100,7 @@ def fit(
         sealed=list(sealed),
         per_log=list(per_log),
         profile=list(profile),
-        columns=column_names(columns),
+        columns=columns,
         limits=limits,
     )
     name = name_of_file(request.fmu if request.yaml is None else request.yaml.path, "fit")
@@ -186,7 +186,7 @@ def fit(
         if report and out is not None:
             from cosim.calibration.report import page
 
-            write_text(place / "report.html", page(record, estimate, parts))
+            write_text(place / "report.html", page(record, request, estimate, parts))
     if stop is not None:
         stop.left = place
         raise stop

@@ -134,12 +134,6 @@ def texts(values: Given | None) -> Sequence[str]:
     return [f"{n}={json.dumps(plain(v))}" for n, v in settings.items()] if isinstance(settings, Mapping) else settings
 
 
-def column_names(columns: Given | None) -> Sequence[str]:
-    """Return names of columns as COLUMN=VARIABLE texts."""
-    names = normalize_settings(columns)
-    return [f"{column}={variable}" for column, variable in names.items()] if isinstance(names, Mapping) else names
-
-
 def check_arguments(function: Callable[P, T]) -> Callable[P, T]:
     """Return the function with a check of its arguments, which raises InputError with all invalid arguments."""
     signature = inspect.signature(function)

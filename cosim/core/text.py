@@ -68,19 +68,9 @@ def is_difference(criterion: Mapping[str, Any]) -> bool:
     return criterion.get("kind") != "peak" or bool(criterion.get("to"))
 
 
-def length(value: float) -> str:
-    """Return a distance [m] in mm, cm or m, whichever is most readable."""
-    size = abs(value)
-    if 0 < size < 1e-4:
-        return "less than 0.1\u00a0mm"
-    if size < 0.0095:
-        return amount(value * 1000, "mm", 2)
-    return amount(value * 100, "cm", 2) if size < 0.5 else amount(value, "m", 3)
-
-
 def size(value: float, unit: str) -> str:
-    """Return an amount with two significant digits; lengths in mm, cm or m."""
-    return length(value) if unit == "m" else amount(value, unit, 2, difference=True)
+    """Return the size of a difference, such as an error, with two significant digits."""
+    return amount(value, unit, 2, difference=True)
 
 
 def percent(share: float) -> str:

@@ -15,7 +15,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from itertools import chain, combinations, groupby
+from itertools import chain, combinations
 from pathlib import Path
 
 import numpy as np
@@ -51,7 +51,7 @@ from cosim.refinement.search.fits import TOGETHER
 from cosim.refinement.study import StudyFile, read_study
 from cosim.residuals.drive import REPLAY_MODULES, DriveApart, as_columns, model_signals
 from cosim.terms.code import fmu_model
-from cosim.terms.language import Term, with_place
+from cosim.terms.language import with_place
 
 PARAMETER_ERROR = 0.2  # relative error of a wrong base parameter; suspect parameters use the size of their fits
 MIN_SEPARATION = 3.0  # distance between rivals, in standard deviations, that a log needs for a decision
@@ -147,15 +147,6 @@ def separation(
 
 BASE_RIVAL = "nothing"
 NOISE_SHARE = 0.01  # assumed noise of an output, relative to its spread, without logs
-# Kinds of terms at the same place that are hard to separate in small or short experiments.
-CONFUSED = (
-    ("delay", "lag", "second_order_lag", "rate_limit"),
-    ("dead_band", "play"),
-    ("gain", "saturation", "square_law"),
-    ("coulomb", "viscous", "quadratic_drag"),
-    ("cubic_spring", "cogging"),
-    ("leak", "growing_leak", "overflow"),
-)
 
 
 @dataclass(frozen=True)
@@ -349,7 +340,7 @@ def _question_of_fmu(
     """Return the specification of an experiment for an FMU, whose structure is found with a pulse of each input.
 
     Args:
-        against: Names of the rivals; by default the terms that are hard to separate at each place.
+        against: Names of the rivals.
         duration: Duration of the pulses [s]; None for the duration and step that the FMU declares.
 
     Raises:
@@ -379,11 +370,9 @@ def _question_of_fmu(
     subject = FmuSubject.of_fmu(probe_places(path, [log]).structure, [log], limits=Limits())
     candidates = _candidates(subject.loaded)
     _check_names(path, against, candidates)
-    rivals, pairs = _rivals(subject, candidates, list(against), _confused_groups(subject.model))
-    if not pairs:
-        raise InputError.at(
-            path, f"has no terms that are hard to separate; name rivals with --against ({', '.join(candidates)})"
-        )
+    if not against:
+        raise InputError.at(path, f"needs rivals: name them with --against ({', '.join(candidates)})")
+    rivals, pairs = _rivals(subject, candidates, list(against), ())
     measured = tuple(q.name for q in subject.outputs)
     variables = {name: variable for variable, name in subject.names.items()}
     noise = {n: NOISE_SHARE * (subject.structure.scales.get(variables[n]) or 1.0) for n in measured}
@@ -395,17 +384,6 @@ def _first_outputs(log: Log) -> dict[str, float]:
     """Return output → its first reading in a log, in names of the model."""
     readings = {with_place(n): values[np.isfinite(values)] for n, values in log.outputs.items()}
     return {name: float(values[0]) for name, values in readings.items() if values.size}
-
-
-def _confused_groups(model: Model) -> list[set[str]]:
-    """Return the groups of terms of an FMU that are hard to separate: kinds of `CONFUSED` at one place."""
-    groups: list[set[str]] = []
-    terms = [kind for kind in model.catalogue if issubclass(kind, Term)]
-    for _, at in groupby(sorted(terms, key=lambda t: t.place.name), key=lambda t: t.place.name):
-        kinds = {t.kind: t.name for t in at}
-        kinds |= {"delay": "delay"} if "lag" in kinds and any(k.name == "delay" for k in model.catalogue) else {}
-        groups += [{kinds[k] for k in confused if k in kinds} for confused in CONFUSED]
-    return [group for group in groups if len(group) > 1]
 
 
 def _question_of_model(path: Path, loaded: LoadedModel, against: Sequence[str]) -> Question:

@@ -194,9 +194,7 @@ def _texts(
         faults.append(Fault(path, reader.line_num, 1, f"is not CSV: {error}"))
     if misfits:
         line, count = misfits[0]
-        cure = "delete the row, or leave cells empty where nothing was measured"
-        if count == 2 * width:
-            cure = "a decimal comma may split each number; use a decimal point"
+        cure = "delete the row, use decimal points, or leave cells empty where nothing was measured"
         further = f" ({counted(len(misfits) - 1, 'further row')} likewise)" if len(misfits) > 1 else ""
         faults.append(Fault(path, line, 1, f"has {counted(count, 'cell')}, the header {width}; {cure}{further}"))
     if not width and not faults:

@@ -11,10 +11,11 @@ import gc
 import json
 import re
 import sys
-from collections.abc import Collection, Container, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Collection, Container, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from datetime import date
 from pathlib import Path
+from traceback import clear_frames
 from typing import Any
 from zipfile import ZipFile
 
@@ -33,12 +34,33 @@ PARQUET_MAGIC = b"PAR1"  # first and last bytes of every Parquet file
 UNIT = b"unit"  # key of a column's metadata
 PANDAS = b"pandas"  # key of the metadata that pandas writes, in JSON
 UNNAMED = re.compile(r"__index_level_\d+__")  # name that pandas gives to an index without one
-UNNAMED_INDEX = (
-    "is an index of pandas without a name: its whole numbers may count rows or seconds; "
-    "name it by `rename_axis('time')`, or write a column time"
-)
 MOST_VALUES = 200_000_000  # numbers in a file, 1.6 GB in memory
 ROWS_A_GROUP = 65_536
+
+
+@contextmanager
+def _reading(path: Path, form: str, cure: str = "write it again") -> Iterator[None]:
+    """Raise InputError for any error of a library, because the libraries report damage by many kinds of errors."""
+    try:
+        yield
+    except (InputError, MemoryError):
+        raise
+    except Exception as error:
+        reason = getattr(error, "strerror", None) or str(error).strip().partition("\n")[0][:200]
+        # asammdf also raises errors when a half-read file object is deleted, which is a variable of its frames
+        hook, sys.unraisablehook = sys.unraisablehook, lambda _: None
+        clear_frames(error.__traceback__)
+        error.__context__ = None
+        gc.collect()
+        sys.unraisablehook = hook
+        raise InputError.at(path, f"is an incomplete or invalid {form}: {reason}; {cure}") from None
+
+
+def _refuse_large(path: Path, rows: int, columns: int) -> None:
+    """Raise InputError for a table that does not fit into the memory."""
+    if rows * columns > MOST_VALUES:
+        size = f"{rows} rows of {columns} columns; the limit is {MOST_VALUES:.0e} values"
+        raise InputError.at(path, f"has {size}; remove columns or rows")
 
 
 class Parquet(Source):
@@ -53,34 +75,23 @@ class Parquet(Source):
         """Read all columns. A column whose type is not supported gets a fault."""
         from pyarrow.parquet import ParquetFile
 
-        try:
-            with ParquetFile(path) as file:
-                rows, columns = file.metadata.num_rows, file.metadata.num_columns
-                if rows * columns > MOST_VALUES:
-                    size = f"{rows} rows of {columns} columns; the limit is {MOST_VALUES:.0e} values"
-                    raise InputError.at(path, f"has {size}; remove columns or rows")
-                content = file.read(use_threads=False)
-        except (OSError, ValueError, NotImplementedError) as error:  # pyarrow's errors derive from these
-            reason = str(error).strip().partition("\n")[0][:200]
-            raise InputError.at(path, f"is an incomplete or invalid Parquet file: {reason}; write it again") from None
+        with _reading(path, "Parquet file"), ParquetFile(path) as file:
+            _refuse_large(path, file.metadata.num_rows, file.metadata.num_columns)
+            content = file.read(use_threads=False)
+            fields = _fields(content.schema)
         found: list[Column] = []
-        for k in _order(content.schema):
-            field = content.schema.field(k)
+        for k, field in fields:
             unit = (field.metadata or {}).get(UNIT)  # without metadata, the name may be `name [unit]`
             name, unit = split_heading(field.name, names) if unit is None else (field.name, unit.decode())
             found.append(_column(name, unit, content.column(k), is_text=name in text))
-        if found and UNNAMED.fullmatch(found[0].name):  # an index of integers may contain row numbers
-            is_whole = found[0].numeric and np.asarray(found[0].values).dtype.kind == "i"
-            found[0] = replace(found[0], name="time", unit="s", fault=UNNAMED_INDEX if is_whole else found[0].fault)
         return Table(found)
 
     def column_names(self, path: Path) -> list[str]:
-        """Return the column names; raise OSError or ValueError if unreadable."""
+        """Return the column names; raise InputError if unreadable."""
         from pyarrow.parquet import read_schema
 
-        schema = read_schema(path)
-        names = [split_heading(schema.field(k).name)[0] for k in _order(schema)]
-        return ["time" if not k and UNNAMED.fullmatch(name) else name for k, name in enumerate(names)]
+        with _reading(path, "Parquet file"):
+            return [split_heading(field.name)[0] for _, field in _fields(read_schema(path))]
 
     def write(self, path: Path, columns: Sequence[Column]) -> None:
         """Write columns with their units."""
@@ -104,22 +115,21 @@ class Parquet(Source):
 PARQUET = Parquet()
 
 
-def _order(schema: Any) -> list[int]:
-    """Return the indices of the columns, with the time first.
+def _fields(schema: Any) -> list[tuple[int, Any]]:
+    """Return index and field of each column, the time first.
 
-    pandas writes the index of a table as its last column. The time is the column `time`, or else the index. If a table
-    has a column `time`, its index without a name contains row numbers and is left out.
+    The time is the column `time`, or else the index of a pandas table, which pandas writes as its last column. An index
+    without a name is left out if it contains row numbers or if a column is called time.
     """
-    names = [field.name for field in schema]
-    try:
-        of_pandas = [*json.loads((schema.metadata or {})[PANDAS])["index_columns"]]
-    except (KeyError, TypeError, ValueError):
-        of_pandas = []
-    index = [name for name in names if name in of_pandas or UNNAMED.fullmatch(name)]
-    first = [name for name in names if is_time(split_heading(name)[0])][:1] or index
-    left_out = {name for name in index if UNNAMED.fullmatch(name) and len(first) == 1}
-    others = [k for k, name in enumerate(names) if name not in first and name not in left_out]
-    return [*(k for k, name in enumerate(names) if name in first), *others]
+    of_pandas = json.loads((schema.metadata or {}).get(PANDAS, b"{}")).get("index_columns", ())
+    times = [k for k, field in enumerate(schema) if is_time(split_heading(field.name)[0])]
+    times += [k for k, field in enumerate(schema) if field.name in of_pandas or UNNAMED.fullmatch(field.name)]
+    fields = {}
+    for k, field in enumerate(schema):
+        is_unnamed = UNNAMED.fullmatch(field.name)
+        if not is_unnamed or (k == times[0] and not re.match("u?int", str(field.type))):
+            fields[k] = field.with_name("time") if is_unnamed else field
+    return sorted(fields.items(), key=lambda item: item[0] not in times[:1])
 
 
 def _column(name: str, unit: str, column: Any, *, is_text: bool) -> Column:
@@ -166,13 +176,9 @@ class Mat(Source):
         """Read all columns."""
         from scipy.io import loadmat
 
-        try:
-            with open_bytes(path) as stream:
-                content: Mapping[str, Any] = loadmat(stream)
-        except Exception as error:  # scipy reports damage by many kinds of errors
-            reason = getattr(error, "strerror", None) or str(error)[:200]
-            cure = "write it with -v7, or as HDF5 with one dataset per signal"
-            raise InputError.at(path, f"is not a readable MAT file of version 5: {reason}; {cure}") from None
+        cure = "write it with -v7, or as HDF5 with one dataset per signal"
+        with _reading(path, "MAT file of version 5", cure), open_bytes(path) as stream:
+            content: Mapping[str, Any] = loadmat(stream)
         if "names" in content:
             columns = [Column("time", "s", np.ravel(content["time"]).astype(np.float64))]
             whole = np.ravel(content["whole"])
@@ -265,12 +271,8 @@ class Hdf5(Source):
             column = Column(str(name), str(unit or ""), plain_numbers(values) if is_number else [*map(str, values)])
             found.append((int(item.attrs.get("column", len(found))), column))
 
-        try:
-            with h5py.File(path, "r") as file:
-                file.visititems(add)
-        except (OSError, RuntimeError, ValueError, KeyError) as error:
-            reason = str(error).strip().partition("\n")[0][:200]
-            raise InputError.at(path, f"is not a readable HDF5 file: {reason}; write it again") from None
+        with _reading(path, "HDF5 file"), h5py.File(path, "r") as file:
+            file.visititems(add)
         return table_by_time([column for _, column in sorted(found, key=lambda each: each[0])])
 
     def check_writable(self) -> None:
@@ -315,18 +317,15 @@ class Excel(Source):
     def read(self, path: Path, names: Container[str] = (), text: Collection[str] = ()) -> Table:
         """Read all columns of the table. For a formula, the value stored by Excel is read."""
         openpyxl = optional("openpyxl", lambda message: Fault(path, 0, 0, message))
-        try:
+        with _reading(path, "workbook", "save it again"):
             with ZipFile(path) as parts:
                 size = sum(part.file_size for part in parts.infolist())
-            book = openpyxl.load_workbook(path, read_only=True, data_only=True) if size <= MAX_TABLE_BYTES else None
-            sheets = {sheet.title: [*sheet.iter_rows(values_only=True)] for sheet in book.worksheets} if book else {}
-        except Exception as error:  # openpyxl reports damage by many kinds of errors
-            reason = str(error)[:200]
-            raise InputError.at(path, f"is an incomplete or invalid workbook: {reason}; save it again") from None
-        if book is None:
-            limit = f"the limit is {MAX_TABLE_BYTES / 1e6:.0f} MB; write Parquet"
-            raise InputError.at(path, f"unpacks to {size / 1e6:.0f} MB; {limit}")
-        book.close()
+            if size > MAX_TABLE_BYTES:
+                limit = f"the limit is {MAX_TABLE_BYTES / 1e6:.0f} MB; write Parquet"
+                raise InputError.at(path, f"unpacks to {size / 1e6:.0f} MB; {limit}")
+            book = openpyxl.load_workbook(path, read_only=True, data_only=True)
+            sheets = {sheet.title: [*sheet.iter_rows(values_only=True)] for sheet in book.worksheets}
+            book.close()
         tables = []
         for sheet, rows in sheets.items():
             if filled := [(line, row) for line, row in enumerate(rows, 1) if any(cell is not None for cell in row)]:
@@ -361,24 +360,13 @@ class Mdf(Source):
     def read(self, path: Path, names: Container[str] = (), text: Collection[str] = ()) -> Table:
         """Read all channels into one table, with a row for each time of any channel; missing values are NaN."""
         asammdf = optional("asammdf", lambda message: Fault(path, 0, 0, message))
-        try:
-            with asammdf.MDF(path) as file:
-                signals = list(file.iter_channels(copy_master=True))
-        except Exception as error:  # asammdf raises errors of many kinds for damaged files
-            reason = str(error)[:200]
-            # asammdf also raises them when a half-read file object is deleted.
-            hook, sys.unraisablehook = sys.unraisablehook, lambda _: None
-            error.__traceback__ = error.__context__ = None
-            gc.collect()
-            sys.unraisablehook = hook
-            raise InputError.at(path, f"is an incomplete or invalid MDF file: {reason}; save it again") from None
+        with _reading(path, "MDF file", "save it again"), asammdf.MDF(path) as file:
+            signals = list(file.iter_channels(copy_master=True))
         rasters = {signal.timestamps.tobytes(): signal.timestamps for signal in signals if signal.timestamps.size}
         if not rasters:
             return Table()
         time = np.unique(np.concatenate([*rasters.values()]))
-        if 8 * time.size * len(signals) > MAX_TABLE_BYTES:
-            million = f"{time.size * len(signals) / 1e6:.0f} million values"
-            raise InputError.at(path, f"has {million}, above the limit; export fewer channels")
+        _refuse_large(path, time.size, len(signals))
         places = {key: np.searchsorted(time, raster) for key, raster in rasters.items()}
         columns = [Column("time", "s", time)]
         for signal in signals:

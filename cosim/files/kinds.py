@@ -65,14 +65,11 @@ def next_step(kind: str, path: Path) -> str:
 
 def kind_of(path: Path) -> str | None:
     """Return the kind of a file by form or keys; None if unknown."""
-    return kind_by_form(path) or (_by_keys(path) if path.suffix.lower() in KEYED_ENDINGS else None)
-
-
-def _by_keys(path: Path) -> str | None:
-    try:
-        return kind_by_keys(YamlFile(path).root)
-    except InputError:
-        return None
+    kind = kind_by_form(path)
+    with suppress(InputError):
+        if kind is None and path.suffix.lower() in KEYED_ENDINGS:
+            return kind_by_keys(YamlFile(path).root)
+    return kind
 
 
 def refuse_other(path: Path, kind: str | None, *wanted: str) -> None:

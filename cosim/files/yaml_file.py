@@ -2,7 +2,7 @@
 
 Oversized, deep or unsupported content is rejected. ruamel.yaml parses the text and supplies the messages; long texts
 use the faster libyaml, if installed. Supported are mappings with text keys, lists, text, numbers, true, false and null,
-and anchors, aliases and merge keys with limited expansion.
+and anchors and aliases with limited expansion.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ PARSERS_DISAGREE = re.compile("^%|[\\t\\x85\\u2028\\u2029\\ufeff]", re.MULTILINE
 MOST_YAML = 800_000  # text length [characters] readable within seconds
 MOST_MARKS = 100_000  # commas, colons and lines of YAML, which determine the time to read a file
 MOST_PARTS = 400_000  # keys and values after expanding aliases
-MERGE_KEY, TAG_PREFIX = "<<", "tag:yaml.org,2002:"
+TAG_PREFIX = "tag:yaml.org,2002:"
 TOO_DEEP = f"is nested more than {MAX_NESTING} levels deep; use fewer levels"
 SCALARS = {"null", "bool", "int", "float", "str", "timestamp", "merge", "value"}  # tags
 Location = tuple[str | int, ...]
@@ -511,29 +511,18 @@ document_of = lru_cache(maxsize=2)(Document)  # cached, because a file is parsed
 
 
 def _pairs(node: Any) -> dict[str, tuple[Any, Any]]:
-    """Return key → (key node, value node) of a mapping, merged keys included; store these pairs as the node's value."""
-    entries = node.value
-    if isinstance(entries, dict):
-        return entries
-    node.value = None
-    if entries is None:
-        raise NotYaml("merges itself; remove the merge key", node.start_mark)
-    own: dict[str, tuple[Any, Any]] = {}
-    merged: dict[str, tuple[Any, Any]] = {}
-    for key, value in entries:
-        if key.id != "scalar":
-            raise NotYaml("a list or mapping is used as a key; use text", key.start_mark)
-        if key.value == MERGE_KEY and not key.style:
-            for other in value.value if value.id == "sequence" else [value]:
-                if other.id != "mapping":
-                    raise NotYaml("only a mapping, or a list of mappings, can be merged", value.start_mark)
-                merged = {**_pairs(other), **merged}
-        elif (name := _text_of(key)) in own:
-            raise NotYaml(f'duplicate key "{name[:60]}"; keep one', key.start_mark)
-        else:
-            own[name] = key, value
-    node.value = pairs = {**merged, **own}
-    return pairs
+    """Return key → (key node, value node) of a mapping; store these pairs as the node's value."""
+    if not isinstance(node.value, dict):
+        pairs: dict[str, tuple[Any, Any]] = {}
+        for key, value in node.value:
+            if key.id != "scalar":
+                raise NotYaml("a list or mapping is used as a key; use text", key.start_mark)
+            if (name := _text_of(key)) in pairs:
+                raise NotYaml(f'duplicate key "{name[:60]}"; keep one', key.start_mark)
+            pairs[name] = key, value
+        node.value = pairs
+    found: dict[str, tuple[Any, Any]] = node.value
+    return found
 
 
 def _text_of(node: Any) -> str:

@@ -8,31 +8,21 @@ from itertools import combinations
 
 import numpy as np
 
-from cosim.core.arrays import Array, NamedValues
+from cosim.core.arrays import NamedValues
 from cosim.core.errors import Fault, InputError
-from cosim.core.linear_algebra import least_squares
 from cosim.core.text import amount, counted, percent, plain
 from cosim.core.units import DEGREES
 from cosim.logs.log import FULL_TURN, MISSING_ROW_STEPS, Finding, Log, Severity, name_list, noise_level
-from cosim.logs.model_comparison import input_unit_findings
+from cosim.logs.model_comparison import fit_slope, input_unit_findings, moving_part
 from cosim.logs.spikes import Spikes, find_spikes, out_of_line
-from cosim.model.planar import PlanarFrame
 from cosim.model.traits import Traits, rate_of
 
 SEVERITIES = ("fault", "warning", "note")
 INSEPARABLE_CORRELATION = 0.98  # correlation of two inseparable inputs
-SLOWER, FASTER = 1.5, 50.0  # ratio of the log's step to the model's from which the steps disagree
+SLOWER = 1.5  # ratio of the log's step to the model's from which the steps disagree
 SHORT_LOG_S = 10.0  # [s]; the first 2 s and whole windows of 2 s must leave enough rows
-STILL = 1e-9  # [unit of the signal] change below which only rounding is visible
 MIN_AGREEMENT = 0.9  # correlation of the change of a signal with the integral of its rate
-FAR_OFF = 8.0  # multiple of the usual miss, or of the noise
-MAX_INTEGRATED_PAUSE_S = 0.2  # [s] without a reading
-TURNED = 9.0  # ratio of sideways motion to that of the mirror image from which an axis is reversed
-LEAST_POSITIONS = 20  # positions
-SPACING = 0.2  # [s] between positions
-MIN_TURN = 0.2  # [rad] standard deviation of the heading from which exchanged axes differ from motion sideways
-POSITION_JUMP_RATIO = 10.0  # multiple of a step that 99 % of the rows do not exceed
-INTEGRAL_BLOCK_S = 0.5  # [s] over which a signal's change is compared with the integral of its rate
+FAR_OFF = 8.0  # multiple of the noise
 
 
 def gate(
@@ -120,9 +110,6 @@ def _timing(log: Log) -> Iterator[Finding]:
         better = plain(2.0 * SHORT_LOG_S * log.slowness)
         message = f"the log lasts {amount(duration, 's')}; {better} s or more give better results"
         yield Finding("warning", "short", "time", message)
-    if abs(start := float(log.time[0])) > 1e6:
-        message = f"time starts at {start:.0f} s; the simulation uses this time unchanged"
-        yield Finding("note", "epoch", "time", message)
 
 
 def _rate(log: Log, rate: float) -> Iterator[Finding]:
@@ -132,19 +119,12 @@ def _rate(log: Log, rate: float) -> Iterator[Finding]:
     # its rows really are minutes apart.
     units = (("ms", 1e3), ("us", 1e6), *((("min", 1.0 / 60.0),) if duration < SHORT_LOG_S else ()))
     unit = next((unit for unit, factor in units if 0.5 < ratio / factor < 2.0 and not log.written.get("time")), None)
-    severity: Severity = "note"
+    severity: Severity = "warning"
     if unit:
         severity = "fault"
         told = f'. If the time is in {unit}, rename its column to "time [{unit}]", otherwise to "time [s]"'
     elif ratio > SLOWER:
-        severity = "warning"
         told = "; inputs are held constant between rows"
-    elif ratio < 1.0 / FASTER:
-        severity, told = "warning", "; each row is one step, so fewer rows would be faster"
-    elif abs(1.0 / ratio - round(1.0 / ratio)) > 0.02:
-        told = ", which is not a whole number of rows per step"
-    elif abs(ratio - 1.0) > 0.02:
-        told = f": {counted(round(1.0 / ratio), 'row')} per step"
     else:
         return
     message = f"rows are {plain(log.step)}\u00a0s apart; the step of the model is {plain(rate)}\u00a0s{told}"
@@ -198,11 +178,6 @@ def _outputs(log: Log) -> Iterator[Finding]:
     for name, values in log.outputs.items():
         good = np.isfinite(values)
         readings = values[good]
-        share = float(good.mean())
-        if share < 1.0:
-            interval = float(np.median(np.diff(log.time[good]))) if readings.size > 1 else math.nan
-            message = f"measured in {percent(share)} of the rows, every {amount(interval, 's')}"
-            yield Finding("note", "missing", name, message)
         if np.ptp(readings) <= 1e-12 * max(1.0, float(np.abs(readings).max())):
             message = (
                 f"is constant at {amount(float(readings[0]), log.units[name])} throughout; check that the sensor "
@@ -247,7 +222,7 @@ def outliers(log: Log, spikes: Spikes) -> Iterator[Finding]:
 
 
 def frame_findings(log: Log, traits: Traits | None = None) -> Iterator[Finding]:
-    """Yield findings on angles in degrees, jumps by a turn, wrong rates and mirrored axes.
+    """Yield findings on angles in degrees, jumps by a turn, and wrong rates.
 
     Args:
         traits: Signal properties of the model; without a model, rates are guessed from names and give only warnings.
@@ -283,133 +258,45 @@ def frame_findings(log: Log, traits: Traits | None = None) -> Iterator[Finding]:
     for name, times in log.unwrapped.items():
         message = f"has {counted(len(times), 'jump')} of a turn, first at t = {times[0]:.6g} s; the jumps are removed"
         yield Finding("note", "wrapped", name, message)
-    if traits and (frame := traits.planar) and {frame.x, frame.y, frame.heading} <= log.outputs.keys():
-        yield from _axis_findings(log, frame)
 
 
 def _against_rate(log: Log, name: str, rate: str, *, declared: bool) -> Iterator[Finding]:
-    """Yield findings from a comparison of a signal with the integral of its rate, Δy = s·∫ẏ dt + b·T over blocks.
+    """Yield findings from a comparison of a signal with the integral of its rate.
 
-    With consistent units, signs and sensors, s is 1 and b is 0.
+    With consistent units and signs, the slope of the signal over the integral is 1.
     """
-    good = np.flatnonzero(np.isfinite(log.outputs[name]) & np.isfinite(log.outputs[rate]))
-    time, values, rates = log.time[good], log.outputs[name][good], log.outputs[rate][good]
-    if time.size < 2:
+    good = np.isfinite(log.outputs[rate])
+    rates = np.interp(log.time, log.time[good], log.outputs[rate][good])
+    area = np.concatenate(([0.0], np.cumsum(0.5 * (rates[1:] + rates[:-1]) * np.diff(log.time))))
+    fit = fit_slope(log, log.outputs[name], area)
+    if fit is None:
         return
-    area = np.concatenate(([0.0], np.cumsum(0.5 * (rates[1:] + rates[:-1]) * np.diff(time))))
-    edges = np.flatnonzero(np.diff(np.floor((time - time[0]) / (INTEGRAL_BLOCK_S * log.slowness)), prepend=-1.0))
-    if edges.size < 2:
-        return
-    longest = np.maximum.reduceat(np.diff(time)[: edges[-1]], edges[:-1])
-    whole = longest < MAX_INTEGRATED_PAUSE_S * log.slowness  # over a pause, the integral is a guess
-    change, integral, length = (np.diff(part[edges])[whole] for part in (values, area, time))
-    if change.size < 8 or np.std(integral) == 0.0 or np.std(change) <= STILL:
-        return
-    rho = float(np.corrcoef(change, integral)[0, 1])
-    if abs(rho) < MIN_AGREEMENT:
-        jumps = [*_jump_findings(log, name, rate, (change, integral), change - integral)]
-        yield from jumps
-        moved, turned = float(np.std(change)), float(np.std(integral))
-        if not jumps and moved > FAR_OFF * noise_level(log.outputs[name]) and turned > 0.5 * moved:
+    slope = fit.slope
+    severity: Severity = "fault" if declared else "warning"
+    if abs(fit.correlation) < MIN_AGREEMENT:
+        moved, turned = (float(np.nanstd(moving_part(log, values))) for values in (log.outputs[name], area))
+        if moved > FAR_OFF * noise_level(log.outputs[name]) and turned > 0.5 * moved:
             message = (
-                f"does not follow the integral of {rate} (correlation {plain(rho, 2)}), although both change by "
-                "far more than "
-                "their noise: one of the two changes its sign within the log, or they belong to different bodies"
+                f"does not follow the integral of {rate} (correlation {plain(fit.correlation, 2)}), although both "
+                "change by far more than their noise: one of the two jumps or changes its sign within the log, or they "
+                "belong to different bodies"
             )
             yield Finding("warning", "disagreement", name, message)
-        return
-    design = np.column_stack((integral, length))
-    slope, drift = least_squares(design, change)
-    residual = change - design @ (slope, drift)
-    yield from _jump_findings(log, name, rate, (change, integral), residual)
-    sigma = math.sqrt(float(residual @ residual) / (change.size - 2))
-    error_slope, error_drift = sigma * np.sqrt(np.diag(np.linalg.inv(design.T @ design)))
-    severity: Severity = "fault" if declared else "warning"
-    if slope < 0.0:
+    elif slope < 0.0:
         message = (
-            f"has the opposite sign of d {name}/dt (slope {plain(float(slope))}); reverse the sign of one: the rate "
-            "must be positive while the signal increases"
+            f"has the opposite sign of d {name}/dt (slope {plain(slope)}); reverse the sign of one: the rate must be "
+            "positive while the signal increases"
         )
         yield Finding(severity, "sign", rate, message)
     elif any(0.7 < slope / scale < 1.4 for scale in (DEGREES, 1.0 / DEGREES)):
         degrees, other, unit = (name, rate, "deg") if slope > 1.0 else (rate, name, "deg/s")
-        ratio, cure = plain(float(max(slope, 1 / slope)), 3), f'Give the unit in the header, "{degrees} [{unit}]"'
-        if log.written.get(degrees):
-            headers = " and ".join(f'"{n} [{log.written[n]}]"' for n in (degrees, other) if log.written.get(n))
-            cure = f"The units in the header are {headers}; one of them is wrong"
-        message = f"is {ratio} times the value expected from {other}: one is in degrees, the other in radians. {cure}"
-        yield Finding(severity, "degrees", degrees, message)
-    elif abs(slope - 1.0) > max(0.03, 5.0 * error_slope):
+        written = " and ".join(f'"{n} [{log.written[n]}]"' for n in (degrees, other) if log.written.get(n))
+        cure = f'give the unit in the header, "{degrees} [{unit}]"' + (f", which has {written}" if written else "")
+        message = f"is {plain(max(slope, 1.0 / slope))} times the value expected from {other}: one is in degrees, the "
+        yield Finding(severity, "degrees", degrees, f"{message}other in radians; {cure}")
+    elif abs(slope - 1.0) > max(0.03, 5.0 * fit.error):
         message = (
-            f"integrates to {plain(float(1 / slope), 3)} times the change of {name}: a scale is wrong, or the "
-            "range of one sensor is limited"
+            f"integrates to {plain(1.0 / slope)} times the change of {name}: a scale is wrong, or the range of one "
+            "sensor is limited"
         )
         yield Finding("warning", "scale", rate, message)
-    if slope > 0.0 and abs(drift) > 5.0 * error_drift and abs(drift) > 0.003 * float(np.nanstd(log.outputs[rate])):
-        bias = amount(float(-drift / slope), log.units[rate], 2, difference=True)
-        message = f"is {bias} above d {name}/dt in the whole log: the sensor of {rate} or of {name} has a bias"
-        yield Finding("note", "drift", rate, message)
-
-
-def _jump_findings(log: Log, name: str, rate: str, moves: tuple[Array, Array], miss: Array) -> Iterator[Finding]:
-    """Yield a warning if, in a single block, a signal changes but the integral of its rate does not.
-
-    Args:
-        moves: Changes of the signal and integrals of its rate, by block.
-        miss: Deviation of each change from the usual relation of both.
-    """
-    k, others = int(np.argmax(np.abs(miss))), np.arange(miss.size) != int(np.argmax(np.abs(miss)))
-    scale = max(1.4826 * float(np.median(np.abs(miss))), math.sqrt(2.0) * noise_level(log.outputs[name]))
-    change, integral = moves[0][others], moves[1][others]
-    if abs(miss[k]) <= FAR_OFF * scale or not (np.std(change) > 0.0 and np.std(integral) > 0.0):
-        return
-    if float(np.corrcoef(change, integral)[0, 1]) > MIN_AGREEMENT:
-        message = (
-            f"jumps by {amount(abs(float(miss[k])), log.units[name], difference=True)} at one place, but {rate} shows "
-            "no such motion: the sensor may have been reset"
-        )
-        yield Finding("warning", "jumps", name, message)
-
-
-def _axis_findings(log: Log, frame: PlanarFrame) -> Iterator[Finding]:
-    """Yield warnings for a reversed axis, exchanged axes and jumps.
-
-    The test assumes motion mostly along the heading.
-    """
-    x, y, heading = (log.outputs[name] for name in (frame.x, frame.y, frame.heading))
-    good = np.flatnonzero(np.isfinite(x + y + heading))[:: max(1, round(SPACING / log.step))]
-    if good.size < LEAST_POSITIONS:
-        return
-    dx, dy, pointing = np.diff(x[good]), np.diff(y[good]), 0.5 * (heading[good][1:] + heading[good][:-1])
-    pairs = {"as recorded": (dx, dy), "mirrored": (dx, -dy), "exchanged": (dy, dx), "turned": (dy, -dx)}
-    sideways = {way: float(np.sum((a * np.sin(pointing) - b * np.cos(pointing)) ** 2)) for way, (a, b) in pairs.items()}
-    best = min(sideways, key=lambda way: sideways[way])
-    ratio = sideways["as recorded"] / sideways[best] if sideways[best] > 0.0 else 0.0
-    if ratio > TURNED and best == "mirrored":
-        message = (
-            f"the body moves sideways unless the sign of {frame.x}, {frame.y} or {frame.heading} is reversed: world Y "
-            f"points left and {frame.heading} is positive to the left"
-        )
-        yield Finding("warning", "mirrored", frame.y, message)
-    elif ratio > TURNED and float(pointing.std()) > MIN_TURN:
-        message = f"the body moves sideways unless {frame.x} and {frame.y} are exchanged: the columns may be swapped"
-        yield Finding("warning", "swapped", frame.x, message)
-    for name in (frame.x, frame.y):  # a position that jumps between two rows and does not return
-        good = np.flatnonzero(np.isfinite(log.outputs[name]))
-        steps = np.abs(np.diff(log.outputs[name][good]))
-        if steps.size < LEAST_POSITIONS:
-            continue
-        largest = float(steps.max())
-        if not largest > POSITION_JUMP_RATIO * float(np.quantile(steps, 0.99)):
-            continue
-        k = int(np.argmax(steps))
-        before, after = (
-            np.median(log.outputs[name][good[rows]]) for rows in (slice(max(0, k - 4), k + 1), slice(k + 1, k + 6))
-        )
-        if abs(after - before) > 0.5 * largest:
-            message = (
-                f"jumps by {amount(largest, log.units[name], difference=True)} in the row at t = "
-                f"{float(log.time[good[k + 1]]):.6g} s, far more than in other rows: the sensor may have been reset, "
-                "or two logs joined"
-            )
-            yield Finding("warning", "jumps", name, message)

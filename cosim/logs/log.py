@@ -16,6 +16,7 @@ import numpy as np
 from cosim.blocks.component import Signal
 from cosim.core.arrays import Array, NamedArrays, NamedValues, Rows
 from cosim.core.errors import Fault, refuse
+from cosim.core.settings import Given, normalize_settings
 from cosim.core.text import closest, did_you_mean
 from cosim.core.units import Conversion, alternatives, assume_si, conversion
 from cosim.files.table import Column, Faults, Table, Use, read_table
@@ -146,7 +147,6 @@ def read_log(
     outputs: Sequence[Signal | Quantity],
     *,
     columns: Mapping[str, str] = MappingProxyType({}),
-    alone: bool = False,
     declare: Callable[[Column, Faults], str | None] | None = None,
 ) -> Log:
     """Read a log with the signals of a model.
@@ -154,7 +154,6 @@ def read_log(
     Args:
         inputs, outputs: Signals of the model; the log must contain every input and at least one output.
         columns: Name in the file → name in the model, or `time`, if they differ.
-        alone: True if `columns` is for this file only, so that a missing column is a fault.
         declare: For a log without a model: function that returns the unit of a column, or None to ignore the column.
 
     Raises:
@@ -202,27 +201,21 @@ def read_log(
             if name not in (*units, "time"):
                 cure = f"{did_you_mean(name, units)} (it has {name_list(units)})"
                 faults.note(line, 1, f'column "{column}" is assigned to {name}, which the model does not have{cure}')
-            elif name != "time" and column not in cells and (alone or name not in table):
+            elif name != "time" and column not in cells and name not in table:
                 faults.note(line, 1, f'has no column "{column}"{did_you_mean(column, cells)} for {name}')
         missing = [name for name in into if name not in table]
-        similar = {name: close for name in missing if (close := closest(name, unread))}
         cure = "if columns have other names, use --column COLUMN=VARIABLE, or `columns` in a study"
-        # a log belongs to the model if it has one of its columns, or a name similar to one of its signals
-        known = columns or len(unread) > HINTS or any(name in table or closest(name, unread) for name in units)
-        if missing and not known:
-            other = "check a log of another model with --model FILE:CLASS, and replay it with --fmu FMU"
-            faults.note(line, 1, f"has no column of the model: {name_list(units)}; {other}; {cure}")
-            return
-        every = f"a log needs every input of the model: {name_list(into)}"
         for name in missing:
-            if alike := similar.get(name):
-                message = f'"{alike}" is not a signal of the model; did you mean "{name}", which is missing'
-                faults.note(line, cells[alike], f"{message}? A{every[1:]}")
-            else:
-                faults.note(line, 1, f'input "{name}" is missing; {every}; {cure}')
+            alike = closest(name, unread)
+            fault = (
+                f'"{alike}" is not a signal of the model; did you mean "{name}"?'
+                if alike
+                else f'input "{name}" is missing;'
+            )
+            every = f"a log needs every input of the model: {name_list(into)}; {cure}"
+            faults.note(line, cells.get(alike, 1), f"{fault} {every}")
         if outputs and not missing and not any(name in table for name in outputs):
-            hints = "".join(dict.fromkeys(unread.values()))
-            message = f"has no output of the model{hints}; it needs at least one of {name_list(outputs)}; {cure}"
+            message = f"has no output of the model; it needs at least one of {name_list(outputs)}; {cure}"
             faults.note(line, 1, message)
 
     times = [column for column, name in columns.items() if name == "time"]
@@ -305,12 +298,15 @@ def _check_values(table: Table, faults: Faults, complete: Container[str]) -> Non
         faults.note_cells(np.flatnonzero(size > most), table.lines, column.cell, absurd)
 
 
-def read_column_names(texts: Sequence[str], log: Path) -> dict[str, str]:
-    """Return column → name in the model for texts such as `measured_speed=motor.w` or `stamp=time`.
+def read_column_names(columns: Given | None, log: Path) -> dict[str, str]:
+    """Return column → name in the model, also from texts such as `measured_speed=motor.w` or `stamp=time`.
 
     Raises:
         InputError: A text has another form.
     """
+    texts = normalize_settings(columns)
+    if isinstance(texts, Mapping):
+        return dict(texts)
     parts = [[part.strip() for part in text.partition("=")] for text in texts]
     refuse(
         Fault(

@@ -7,14 +7,13 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from cosim.core.arrays import Array, NamedArrays, NamedValues
-from cosim.core.errors import SimulationError
+from cosim.core.arrays import Array, NamedArrays
 from cosim.core.text import join_names, plain, size
 from cosim.logs.gate import SEVERITIES, refuse_faults
 from cosim.logs.log import SENSOR_FINDING, Finding, Log, least_noise_level
@@ -43,11 +42,10 @@ from cosim.residuals.windows import (
     self_started,
 )
 
-MIN_DRAWN_WINDOWS, MIN_DRAWS, WINDOWS_SEED = 40, 2, 1  # least number of windows drawn
+MIN_DRAWN_WINDOWS, MIN_DRAWS, FREE_RUN_DRAWS, WINDOWS_SEED = 40, 2, 10, 1  # least number of windows drawn
 BY_CHANCE = 1e-4  # false alarm probability of a correct model for each channel
 AT_LEAST = 1.5  # least limit relative to the floor, since noise levels are estimates
 ROUNDING_SHARE = 1e-9  # share of a channel's size
-START_VALUE_STEP = 1e-6  # change of a start value without known noise
 NEGLIGIBLE_ERROR_SHARE = 1e-4  # share of a channel's spread; a log without noise is matched to rounding
 Verdict = Literal["explained", "unexplained", "undecided"]
 FOLLOWS = 2.5  # multiple of the 95 % band beyond chance: five standard errors, because start errors are slow
@@ -182,8 +180,9 @@ def as_json(comparison: Comparison) -> list[dict[str, Any]]:
 
 def draws(log: Log, horizon: float) -> int:
     """Return the number of random draws for the noise floor of a log; with few windows, more draws are needed."""
-    runs = [] if horizon == FREE_RUN else chains(log, horizon)
-    count = sum(sum(row >= begin for row in rows[:-1]) for rows, begin in runs)
+    if horizon == FREE_RUN:
+        return FREE_RUN_DRAWS
+    count = sum(sum(row >= begin for row in rows[:-1]) for rows, begin in chains(log, horizon))
     return max(MIN_DRAWS, math.ceil(MIN_DRAWN_WINDOWS / max(1, count)))
 
 
@@ -197,8 +196,6 @@ def floors(drive: Drive, free: Replay, measured: Replay) -> dict[str, ChannelFlo
     sampled = {n: np.where(np.isfinite(v), free.outputs[n], np.nan) for n, v in log.outputs.items()}
     levels = {name: least_noise_level(values, free.outputs[name]) for name, values in log.outputs.items()}
 
-    linear = _linear_run(drive, free, levels) if horizon == FREE_RUN else None
-
     def predict(readings: NamedArrays) -> NamedArrays:
         other = copy.copy(drive)
         other.log = replace(log, outputs=readings)
@@ -207,8 +204,6 @@ def floors(drive: Drive, free: Replay, measured: Replay) -> dict[str, ChannelFlo
             return {} if replayed is None else replayed.outputs
         if not free.parameters.keys() & readings.keys():  # a start without measurements is unchanged
             return free.outputs
-        if linear is not None:
-            other.run = linear  # type: ignore[method-assign, assignment]
         return as_columns(other.run(0, log.rows - 1, first_start(other, free.parameters)), drive.outputs)
 
     restarted, errors = predict(sampled), []
@@ -232,36 +227,6 @@ def floors(drive: Drive, free: Replay, measured: Replay) -> dict[str, ChannelFlo
             astray = rest if (rest := rmse(error)) > least else 0.0
         result[name] = ChannelFloor(totals[name], _limit(np.concatenate(squares), count), astray)
     return result
-
-
-def _linear_run(
-    drive: Drive, free: Replay, levels: NamedValues
-) -> Callable[[int, int, Mapping[str, Any]], Array] | None:
-    """Return a linear approximation of FMU runs around the free run, as a function of start values.
-
-    The approximation needs one FMU run per start value, instead of five runs per draw. The result is None if a run
-    fails.
-    """
-    table = np.column_stack([free.outputs[name] for name in drive.outputs])
-    start = free.starts[0]
-    about = {p.name: float(start.get(p.name, p.value(free.outputs[name][0]))) for name, p in free.parameters.items()}
-    slopes = {}
-    try:
-        for name, p in free.parameters.items():
-            level = levels.get(name, math.nan)
-            step = level / abs(p.gain) if level > 0.0 else START_VALUE_STEP * max(1.0, abs(about[p.name]))
-            step = step if about[p.name] + step <= p.high else -step
-            outputs = drive.run(0, drive.log.rows - 1, {**start, **about, p.name: about[p.name] + step})
-            slopes[p.name] = (outputs - table) / step
-    except SimulationError:
-        return None
-
-    def run(first: int, last: int, start: Mapping[str, Any]) -> Array:
-        changes = {name: start[name] - value for name, value in about.items() if name in start}
-        moved = table + sum(change * slopes[name] for name, change in changes.items())
-        return np.asarray(moved[: last + 1])
-
-    return run
 
 
 def _limit(squares: Array, count: int) -> float:

@@ -20,7 +20,7 @@ from cosim.blocks.shared_code import claim
 from cosim.core.arrays import Array, Flags, Rows
 from cosim.core.errors import Fault, FmuError, InputError, SimulationError, refuse
 from cosim.core.scratch import ScratchFolder, scratch
-from cosim.core.text import did_you_mean, split_assignment
+from cosim.core.text import split_assignment
 from cosim.core.times import rounding, roundings
 from cosim.files.artefact import FMU, LOG
 from cosim.files.kinds import check_given
@@ -87,20 +87,18 @@ def check_files(log: Path, fmu: Path | None) -> None:
     refuse(faults)
 
 
-def log_of_fmu(path: Path, fmu: Path, columns: Mapping[str, str] = MappingProxyType({}), *, alone: bool = True) -> Log:
+def log_of_fmu(path: Path, fmu: Path, columns: Mapping[str, str] = MappingProxyType({})) -> Log:
     """Return a log of an FMU.
 
     Args:
         columns: Name in the log → name in the FMU, if different.
-        alone: True if `columns` is for this log only, so that a missing column is a fault.
 
     Raises:
         InputError: The log has faults, all of which the error names.
         FmuError: Only the FMU has faults.
     """
     check_files(path, fmu)
-    signals = model_signals(fmu)
-    return read_log(path, *signals, columns=columns, alone=alone)
+    return read_log(path, *model_signals(fmu), columns=columns)
 
 
 class Drive:
@@ -134,15 +132,6 @@ class Drive:
         self.frame = self.traits.planar if self.traits else None
         self.block = RestartableFmu(PLANT_COMPONENT, fmu, description, {}, frozenset(log.inputs))
         self.block.await_inputs(always=True)
-        faults = []
-        sides = (("input", log.inputs, self.block.inputs), ("output", log.outputs, self.block.outputs))
-        for kind, names, signals in sides:
-            known = [s.name for s in signals]
-            every = ", ".join(known) or "none"
-            for name in (n for n in names if n not in known):
-                cure = f"{did_you_mean(name, known)} (its {kind}s: {every})"
-                faults.append(Fault(fmu, 0, 0, f'has no {kind} "{name}", a column of {log.path.name}{cure}'))
-        refuse(faults)
         self.inputs = tuple(s.name for s in self.block.inputs if s.name in log.inputs)
         self.outputs = tuple(s.name for s in self.block.outputs)
         self.free_inputs = tuple(s.name for s in self.block.inputs if s.name not in log.inputs)

@@ -16,7 +16,7 @@ from cosim.core.arrays import Array, NamedArrays, far_beyond
 from cosim.core.errors import InputError, SimulationError, Terminated, stop_error
 from cosim.core.registry import BASE
 from cosim.core.scratch import temporary_folder
-from cosim.core.settings import Given, column_names, texts
+from cosim.core.settings import Given, texts
 from cosim.core.text import as_yaml, join_names, showing
 from cosim.credibility.validity import validity_of
 from cosim.files.artefact import LOG
@@ -121,7 +121,7 @@ def replay(
         if worker is not None:
             worker.start()  # starts in parallel to the reading of files
         scratch = stack.enter_context(temporary_folder("replay"))
-        names = read_column_names(column_names(columns), path)
+        names = read_column_names(columns, path)
         driven = Path(fmu) if fmu else _plant_of(path, names, scratch)
         measured = log_of_fmu(path, driven, names)
         display = display_units([read_description(driven)])

@@ -16,7 +16,7 @@ import typer
 from cosim.core.errors import Crashed, Fault, InputError, NotExecuted, refuse
 from cosim.core.messages import with_prefix
 from cosim.core.registry import resolve
-from cosim.core.settings import Files, Given, ModelName, column_names
+from cosim.core.settings import Files, Given, ModelName
 from cosim.core.text import some
 from cosim.files.artefact import Checking, artefacts, kind_by_keys, of_kind
 from cosim.files.files import FilePath
@@ -85,10 +85,10 @@ def check(
     paths = [*map(Path, [files] if isinstance(files, (str, os.PathLike)) else files)]
     first = paths[0] if paths else Path("columns")
     names: dict[str, str] = {}
-    if texts := column_names(columns):
+    if columns:
         from cosim.logs.log import read_column_names
 
-        names = read_column_names(texts, first)
+        names = read_column_names(columns, first)
     with compiling(compile):
         if permission.get() and not load:
             text = "needs to load FMUs, but --no-load (in Python load=False) forbids it; remove one of them"
@@ -213,7 +213,7 @@ def info_command(
 
         most, logs = read_limits(limits) if limits else LIMITS, log or []
         for fmu in fmus:
-            read = [log_of_fmu(Path(name), fmu, alone=len(logs) == 1) for name in logs]
+            read = [log_of_fmu(Path(name), fmu) for name in logs]
             with compiling(compile):
                 probed[fmu] = probe_places(fmu, read, limits=most).as_json()
     pages: dict[Path, Path] = {}
@@ -323,7 +323,7 @@ def graph_command(
 
     Args:
         scenario: A scenario, an SSP, or the manifest.json of a run.
-        out (--out -o PATH): Picture: FILE.svg (default: NAME.svg).
+        out (--out -o FILE.svg): Picture (default: NAME.svg).
         set (PATH=VALUE): Replace a value of the scenario, for example noise=off.
         force: Overwrite a file that is not a picture of a scenario.
 
@@ -339,8 +339,8 @@ def graph_command(
         raise InputError.at(path, "give an .svg file")
     if path.exists() and not force:
         with path.open(encoding="utf-8", errors="replace") as stream:
-            head = stream.read(DIAGRAM_HEAD)
-        if 'class="diagram"' not in head:
+            is_diagram = 'class="diagram"' in stream.read(DIAGRAM_HEAD)
+        if not is_diagram:
             reason = "exists and is not a picture of a scenario; give another --out, or overwrite it with --force"
             raise InputError.at(path, reason)
     write_text(path, graph.svg())

@@ -18,7 +18,7 @@ from cosim.core.settings import Count, NotNegative, Port, Whole
 from cosim.core.text import counted, some
 from cosim.files.artefact import artefacts
 from cosim.files.files import FilePath, check_writable
-from cosim.files.folders import RESULTS_FOLDER, newest_run, warnings_on
+from cosim.files.folders import RESULTS_FOLDER, manifest_in, newest_run, warnings_on
 from cosim.verbs.cli import progress_bar, say, say_json, show, show_page, table, warn
 
 if TYPE_CHECKING:
@@ -189,11 +189,11 @@ def report_command(folder: Path, *, open: bool = False, json: bool = False) -> N
     path = newest_run(folder)
     if not path.is_dir():
         check_given(path, "the folder of a run")
-    if not (path / "manifest.json").is_file():
-        raise InputError.at(path, "has no manifest.json; give the folder with the results of `cosim run`")
+    if not isinstance(manifest_in(path).get("scenario"), dict):
+        raise InputError.at(
+            path, "has no manifest.json, or a damaged one; give the folder with the results of `cosim run`"
+        )
     run = read_ran(path)
-    if not isinstance(run.manifest.get("scenario"), dict):
-        raise InputError.at(path / "manifest.json", "has no scenario or is damaged; run the scenario again")
     if not run.results.time.size:
         raise InputError.at(rows_in(path) or path, "has no rows: the run stopped before the first row; run it again")
     check_writable(path, ("report.html",))
@@ -335,7 +335,7 @@ def view_command(
 
     root = results or RESULTS_FOLDER
     layouts = Layouts(layout or root / LAYOUTS)
-    named = read_column_names(columns or (), Path((runs or ["--column"])[0]))
+    named = read_column_names(columns, Path((runs or ["--column"])[0]))
     places, notes = find_runs(runs or (), root, named)
     with progress_bar() as show:
         opened, warnings = open_runs(places, show)

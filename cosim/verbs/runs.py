@@ -179,7 +179,6 @@ def init_command(fmus: list[Path], *, out: Path = Path("scenario.yaml"), json: b
                 "algorithm": algorithm,
                 "connections": connections,
                 "not_connected": unconnected,
-                "choices": dict(matches.choices),
             }
         )
         return
@@ -187,13 +186,12 @@ def init_command(fmus: list[Path], *, out: Path = Path("scenario.yaml"), json: b
         say(f"  {text(m.source)} → {text(m.target)}" + (f"   guess: {m.guess}" if m.guess else ""))
         for other in m.others:
             say(f"      or {other}")
-    for name, sources in matches.choices.items():
-        say(f"  {name} is not connected, because several outputs fit equally well: {', '.join(sources)}")
+    for port, sources in matches.unconnected:
+        say(*([f"  {text(port)} is not connected; outputs that fit: {', '.join(sources)}"] if sources else []))
     warn(*warnings)
-    guesses, choices = sum(bool(m.guess) for m in matches.connections), matches.choices
+    guesses = sum(bool(m.guess) for m in matches.connections)
     parts = [counted(len(fmus), "FMU"), counted(len(matches.connections), "connection")]
     parts += [f"{guesses} guessed (marked in the file)"] if guesses else []
-    parts += [f"{counted(len(choices), 'input')} with several fitting outputs (choose in the file)"] if choices else []
     say(f"wrote {out}: {', '.join(parts)}")
     if matches.connections or not matches.any_candidate:
         say(f"next: cosim run {shell_path(out)}")
