@@ -159,12 +159,13 @@ def identify(
 def check_protocol(path: Path, checking: Checking) -> list[str]:
     """Return the warnings of a protocol.
 
-    Measured recordings are analysed, so that impossible results are faults, as in `identify`.
+    Measured recordings and logs are analysed, so that impossible results are faults, as in `identify`.
 
     Raises:
         InputError: The protocol, or logs of a craft, have faults; the error names all of them.
     """
-    if read_craft(path) is not None:
+    if (craft := read_craft(path)) is not None:
+        craft.results()
         return []
     protocol, _, measured = prepare(path)
     if not measured or not all(cell.points for cell in protocol.file.cells.values()):
