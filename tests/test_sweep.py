@@ -168,21 +168,15 @@ def test_a_name_whose_newest_results_are_a_sweep_is_viewed(
     cosim.run("tanks.yaml", "results/tank/0001", report=False, in_process=True)
     study = swept(path, "results/tank/0002")
 
-    def viewed() -> list[dict[str, Any]]:
-        done = CliRunner().invoke(command_line(), ["view", "tank", "--prepare", "--json"])
-        assert done.exit_code == 0, done.output
-        return list(json.loads(done.stdout)["runs"])
-
-    assert study.record["runs"] == 10
-    assert [run["name"] for run in viewed()] == [f"tank/0002 run {k}" for k in range(10)]
+    done = CliRunner().invoke(command_line(), ["view", "tank", "--prepare", "--json"])
+    assert (done.exit_code, study.record["runs"]) == (0, 10), done.output
+    assert [run["name"] for run in json.loads(done.stdout)["runs"]] == [f"tank/0002 run {k}" for k in range(10)]
     places, notes = find_runs(["tank"], Path("results"))
     table, _ = read_table(study.folder / TABLE)
     for place, levels in zip(places, signal_of(table, "tank.level"), strict=True):
         assert place.rows is not None
         assert place.rows.read("tank.level").tolist() == levels.tolist()
     assert len(notes) == 1
-    (study.folder / TABLE).unlink()
-    assert [run["name"] for run in viewed()] == ["tank/0001"]
 
 
 @pytest.mark.parametrize(

@@ -29,7 +29,7 @@ from cosim.core.messages import printable
 from cosim.files.cache import cache_folder
 from cosim.files.files import scratch_folder
 from cosim.files.folders import content_of
-from cosim.files.results import is_rounded, read_results
+from cosim.files.results import read_results
 
 BLOCK_ROWS = 16  # rows of a block
 MIN_BLOCKS_PER_PIXEL = 4  # blocks per pixel column, so that an edge is wrong by at most a quarter of a column
@@ -83,8 +83,6 @@ class Recording:
         added: Units of computed signals.
         texts: Signals that doubles cannot represent, with all values as text; large integers also have a numeric
             column.
-        rounded: Signals with integers that are drawn as doubles and kept exactly as text.
-        inexact: Signals with integers that are read as doubles and lose their last digits.
         assumed: Assumptions made when the table was read, as sentences.
     """
 
@@ -95,8 +93,6 @@ class Recording:
         texts: Mapping[str, Sequence[Any]] = MappingProxyType({}),
     ) -> None:
         self.units, self.texts, self.added = dict(units), texts, dict[str, str]()
-        self.rounded = [name for name in texts if name in columns and is_rounded(columns[name])]
-        self.inexact: Sequence[str] = ()
         self.assumed: Sequence[str] = ()
         self._columns = {TIME_COLUMN: np.zeros(0), **columns}
         self.rows = self._columns[TIME_COLUMN].size
@@ -190,7 +186,7 @@ class Recording:
         return Picture(self, blocks, rows, middle, order, starts)
 
 
-VIEW_FOLDER, VIEW_VERSION = "view", 7
+VIEW_FOLDER, VIEW_VERSION = "view", 8
 VIEW_ROWS_FILE, VIEW_ABOUT_FILE, VIEW_TEXTS_FILE = "rows", "about.json", "texts.arrow"
 UNUSED_AGE_S = 30 * 86_400.0  # age [s] above which a conversion is removed
 DRAFT = "draft-"  # prefix of an unfinished conversion
@@ -231,7 +227,7 @@ def open_rows(path: Path, **about: Any) -> Recording:
     texts = feather.read_table(place / VIEW_TEXTS_FILE, memory_map=True) if known["texts"] else None
     strings = {name: texts.column(k) for k, name in enumerate(known["texts"])} if texts is not None else {}
     recording = Recording(dict(zip(names, table, strict=True)), known["units"], strings)
-    recording.inexact, recording.assumed = known["inexact"], known["assumed"]
+    recording.assumed = known["assumed"]
     return recording
 
 
@@ -251,7 +247,6 @@ def _read(path: Path, about: dict[str, Any]) -> Recording:
     units = {printable(name): printable(shown.units.get(name, "")) for name in shown.columns}
     recording = Recording(columns, units, {printable(name): values for name, values in shown.texts().items()})
     recording.assumed = results.notes
-    recording.inexact = [name for name in results.columns if name in results.whole and is_rounded(results[name])]
     return recording
 
 
@@ -263,5 +258,5 @@ def _write(recording: Recording, folder: Path) -> None:
     if texts:
         table = pa.table(texts, [*map(str, range(len(texts)))])
         feather.write_feather(table, folder / VIEW_TEXTS_FILE, compression="uncompressed")
-    about = {"units": recording.units, "texts": [*recording.texts], "inexact": recording.inexact}
-    (folder / VIEW_ABOUT_FILE).write_text(json.dumps({**about, "assumed": recording.assumed}), encoding="utf-8")
+    about = {"units": recording.units, "texts": [*recording.texts], "assumed": recording.assumed}
+    (folder / VIEW_ABOUT_FILE).write_text(json.dumps(about), encoding="utf-8")

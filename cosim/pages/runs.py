@@ -31,7 +31,6 @@ from cosim.sweeps.store import SWEEP_TABLE, read_runs
 NO_ROWS = "has no rows to draw{status}; give folders of runs, or tables with time in the first column"
 FILE_LOST = "{label} was removed or replaced; the rows that were read stay"
 MAX_VIEWED = 20  # results listed by name in a message
-MAX_NOTED_SIGNALS = 5  # signals in a note
 FILE_CHECK_INTERVAL_S = 1.0  # [s] between checks of a file
 REREAD_INTERVAL_RATIO = 5.0  # time between readings of a growing file, as a multiple of the reading time
 NO_COLUMNS: Mapping[str, str] = MappingProxyType({})
@@ -98,13 +97,6 @@ class ViewedRun:
         types = {"units": self.record.get("units") or {}, "names": self.place.columns}
         rows = open_rows(file, **types, text=manifest.get("beside", ()), words=manifest.get("texts", ()))
         self.notes = [*warnings_on(folder), *map(Note, rows.assumed)]
-        for names, text in (
-            (rows.rounded, "drawn as the nearest double; the cursor shows all digits"),
-            (rows.inexact, "read as the nearest double"),
-        ):
-            if names:
-                some = ", ".join(names[:MAX_NOTED_SIGNALS])
-                self.notes.append(Note(f"{self.place.label}: integers of {some} above 2^53 are {text}"))
         self._due = time.monotonic() + max(FILE_CHECK_INTERVAL_S, REREAD_INTERVAL_RATIO * (time.monotonic() - begin))
         return rows
 
@@ -194,9 +186,7 @@ def find_runs(
         try:
             places = []
             for selected in group:
-                of = selected.entry.of if selected.entry is not None else ""
-                series = [e for e in entries(results) if e.of == of] if text.rstrip("/").endswith(of or "/") else []
-                places += _places(selected, series, columns, notes)
+                places += _places(selected, columns, notes)
             if group and not places:  # a pattern leaves out results without rows
                 raise InputError.at(Path(text), NO_ROWS.format(status=""))
             found += places
@@ -207,13 +197,8 @@ def find_runs(
     return _differing(list(unique.values())), [*map(Note, notes)]
 
 
-def _places(
-    selected: Selected, series: Sequence[Entry], columns: Mapping[str, str], notes: list[str]
-) -> list[RunPlace]:
+def _places(selected: Selected, columns: Mapping[str, str], notes: list[str]) -> list[RunPlace]:
     """Return the tables of selected results, and add notes; none for a match of a pattern without rows.
-
-    Args:
-        series: Runs of the name that the user gave, the newest last.
 
     Raises:
         InputError: The user named results without rows.
@@ -232,9 +217,6 @@ def _places(
     swept = read_runs(path)
     time, runs = swept.signals(MAX_VIEWED) if swept is not None else (np.zeros(0), {})
     if swept is None or not runs:
-        if earlier := [place for e in series if (place := _of_entry(e, is_named=True)) is not None]:
-            notes.append(f"{path} has no rows to draw; the newest run that has, {earlier[-1].label}, is shown")
-            return earlier[-1:]
         refuse_folder(path, RUN_OR_TABLE)
         raise InputError.at(path, NO_ROWS.format(status=status_in(path)))
     units, display = swept.record["units"], swept.record.get("display") or {}
