@@ -205,7 +205,9 @@ def open_rows(path: Path, **about: Any) -> Recording:
     status = path.stat() if path.is_file() else None
     if status is None or status.st_size <= MAX_MEMORY_BYTES:
         return _read(path, about)
-    place = cache_folder() / VIEW_FOLDER / _key(path, status, about)
+    content = status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns  # a renamed file keeps its conversion
+    types = json.dumps([VIEW_VERSION, path.suffix, content, about], sort_keys=True, default=sorted)
+    place = cache_folder() / VIEW_FOLDER / sha256(types.encode()).hexdigest()
     if content_of(place / VIEW_ABOUT_FILE):
         os.utime(place)
     else:
@@ -215,27 +217,28 @@ def open_rows(path: Path, **about: Any) -> Recording:
                 if not each.name.startswith(DRAFT) and time.time() - each.stat().st_mtime > UNUSED_AGE_S:
                     shutil.rmtree(each)
         with scratch_folder(place.parent, DRAFT) as folder:
-            draft = folder / place.name
+            draft, made = folder / place.name, _read(path, about)
             draft.mkdir()
-            _write(_read(path, about), draft)
+            with (draft / VIEW_ROWS_FILE).open("wb") as stream:
+                for name in (TIME_COLUMN, *made.units):
+                    stream.write(made.column(name).tobytes())
+            columns = [pa.array(values, pa.string()) for values in made.texts.values()]
+            if columns:
+                table = pa.table(columns, [*map(str, range(len(columns)))])
+                feather.write_feather(table, draft / VIEW_TEXTS_FILE, compression="uncompressed")
+            known = {"units": made.units, "texts": [*made.texts], "assumed": made.assumed}
+            (draft / VIEW_ABOUT_FILE).write_text(json.dumps(known), encoding="utf-8")
             shutil.rmtree(place, ignore_errors=True)
             with suppress(OSError):  # Another command was faster.
                 shutil.move(draft, place)
-    known: Any = content_of(place / VIEW_ABOUT_FILE)
+    known = content_of(place / VIEW_ABOUT_FILE)
     names = [TIME_COLUMN, *known["units"]]
-    table: Any = np.memmap(place / VIEW_ROWS_FILE, np.float64, "r").reshape(len(names), -1).view(np.ndarray)
+    numbers: Any = np.memmap(place / VIEW_ROWS_FILE, np.float64, "r").reshape(len(names), -1).view(np.ndarray)
     texts = feather.read_table(place / VIEW_TEXTS_FILE, memory_map=True) if known["texts"] else None
     strings = {name: texts.column(k) for k, name in enumerate(known["texts"])} if texts is not None else {}
-    recording = Recording(dict(zip(names, table, strict=True)), known["units"], strings)
+    recording = Recording(dict(zip(names, numbers, strict=True)), known["units"], strings)
     recording.assumed = known["assumed"]
     return recording
-
-
-def _key(path: Path, status: os.stat_result, about: dict[str, Any]) -> str:
-    """Return a key of the content of a file and of its types; a renamed file keeps its key."""
-    content = status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns
-    types = json.dumps([VIEW_VERSION, path.suffix, content, about], sort_keys=True, default=sorted)
-    return sha256(types.encode()).hexdigest()
 
 
 def _read(path: Path, about: dict[str, Any]) -> Recording:
@@ -248,15 +251,3 @@ def _read(path: Path, about: dict[str, Any]) -> Recording:
     recording = Recording(columns, units, {printable(name): values for name, values in shown.texts().items()})
     recording.assumed = results.notes
     return recording
-
-
-def _write(recording: Recording, folder: Path) -> None:
-    with (folder / VIEW_ROWS_FILE).open("wb") as stream:
-        for name in (TIME_COLUMN, *recording.units):
-            stream.write(recording.column(name).tobytes())
-    texts = [pa.array(values, pa.string()) for values in recording.texts.values()]
-    if texts:
-        table = pa.table(texts, [*map(str, range(len(texts)))])
-        feather.write_feather(table, folder / VIEW_TEXTS_FILE, compression="uncompressed")
-    about = {"units": recording.units, "texts": [*recording.texts], "assumed": recording.assumed}
-    (folder / VIEW_ABOUT_FILE).write_text(json.dumps(about), encoding="utf-8")

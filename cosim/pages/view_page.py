@@ -212,9 +212,10 @@ class Viewer:
 
     def _save_layout(self, request: Request, content: Any) -> Response:
         """Save or remove a layout; return all layouts."""
-        if not isinstance(content, dict) or self._layouts is None:
+        layout = content.get("layout") if isinstance(content, dict) else ""
+        if not (isinstance(layout, dict | None) and content.get("name")) or self._layouts is None:
             raise _refused("a layout of `cosim view`")
-        return Json(self._layouts.put(str(content.get("name") or ""), content.get("layout")))
+        return Json(self._layouts.put(str(content["name"]), layout))
 
     def _export(self, request: Request, _: Any) -> Response:
         """Return all rows of curves between two times as CSV, time first, with a row for each time of any run."""

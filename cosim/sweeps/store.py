@@ -225,11 +225,9 @@ class Runs:
             return f"{completed} of {counted(runs, 'run')} completed; the scenario sets no criteria."
         met, fewest = record["met_all"], hardest(record)["met"]
         all_of = "the criterion" if len(criteria) == 1 else "all criteria"
-        if met == runs:
-            return f"All {counted(runs, 'run')} meet {all_of}."
         worst = [c["name"] for c in criteria if c["met"] == fewest < c["of"]]
-        failed = f"; {counted(completed - fewest, 'run')} missed {join_names(worst)}"
-        most = failed if 0 < len(worst) < len(criteria) else ""
+        most = f"; {counted(completed - fewest, 'run')} missed {join_names(worst)}"
+        most = most if 0 < len(worst) < len(criteria) else ""
         return f"{met} of {counted(runs, 'run')} {'meets' if met == 1 else 'meet'} {all_of}{most}."
 
     @property
