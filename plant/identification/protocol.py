@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
@@ -13,18 +12,16 @@ from pydantic import AfterValidator, Field, ValidationInfo, field_validator, mod
 
 from cosim.core.errors import refuse
 from cosim.core.text import did_you_mean
-from cosim.core.units import factor, number_in
+from cosim.core.units import factor
 from cosim.files.kinds import check_given
 from cosim.files.yaml_file import (
     UNIT_OF_KEY,
-    Amount,
     InUnit,
     NotNegative,
     NotNegativeSeconds,
     Number,
     Part,
     Positive,
-    PositiveAmount,
     PositiveSeconds,
     Share,
     YamlFile,
@@ -79,19 +76,10 @@ class CellFile(Part):
     """
 
     unit: str = "N"
-    full_scale: PositiveAmount
+    full_scale: Positive
     error: Annotated[NotNegative, Share, Field(le=0.1)] = 0.0025
-    loads: list[Amount] = Field(default=[])
-    points: list[tuple[Amount, Annotated[Number, InUnit("V")]]] = Field(default=[])  # load, voltage
-
-    @field_validator("full_scale", "loads", "points", mode="before")
-    @classmethod
-    def _in_its_unit(cls, value: Any, info: ValidationInfo) -> Any:
-        """Return loads in the unit of the cell."""
-        number = partial(number_in, unit=str(info.data.get("unit", "")))
-        if info.field_name == "points" and isinstance(value, list):
-            return [[number(p[0]), *p[1:]] if isinstance(p, list) and p else p for p in value]
-        return [*map(number, value)] if isinstance(value, list) else number(value)
+    loads: list[Number] = Field(default=[])
+    points: list[tuple[Number, Annotated[Number, InUnit("V")]]] = Field(default=[])  # load, voltage
 
     @model_validator(mode="after")
     def _has_a_curve(self) -> Self:
