@@ -311,19 +311,18 @@ def test_a_stopped_sweep_is_gone_on_with_and_its_table_is_that_of_one_that_was_n
             swept(path, "out", **options)
 
 
-def test_parts_are_joined_to_the_table_of_a_whole_sweep(tanks: Callable[..., Path]) -> None:
+def test_parts_become_the_table_of_a_whole_sweep(tanks: Callable[..., Path]) -> None:
     path = tanks(FEW)
     out = path.parent / "out"
     part = ("sweep", path, "--workers", 1, "--out", out)
     for words, code in (
         (["--part", "1/3"], 0),
-        (["--join"], 2),  # runs are missing
         (["--part", "2/3"], 0),
         (["--part", "3/3"], 0),
         (["--part", "2/3"], 0),
-        (["--join"], 0),
+        (["--resume"], 0),
         (["--part", "0/3", "--force"], 2),
-        (["--part", "1/2", "--join"], 2),
+        (["--part", "1/2", "--resume"], 2),
     ):
         assert exit_code(*part, *words) == code, words
     assert (out / TABLE).read_bytes() == (swept(path, "whole").folder / TABLE).read_bytes()
