@@ -318,11 +318,4 @@ def read_protocol(path: Path) -> Protocol:
             cure = "give a bench to simulate as `bench:`, or recordings as `files:`"
             faults.append(yaml.fault(("tests", name), f"has no files, and no bench is simulated; {cure}", key=True))
     refuse(faults)
-    bench = bench.with_values(values)
-    if (ground := content.tests.ground_effect) is not None and not ground.files:
-        near, free = [h * bench.propeller_radius for h in ground.heights], ground.free_height
-        if not near or max(near) >= free:
-            text = f"{free:g} m is not above at least two heights near the ground; use at least 10 radii"
-            faults.append(yaml.fault(("tests", "ground_effect", "free_height" if near else "heights"), text))
-    refuse(faults)
-    return Protocol(yaml, content.model_copy(update={"parameters": values}), bench)
+    return Protocol(yaml, content, bench.with_values(values))
