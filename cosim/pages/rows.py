@@ -226,12 +226,12 @@ def open_rows(path: Path, **about: Any) -> Recording:
             if columns:
                 table = pa.table(columns, [*map(str, range(len(columns)))])
                 feather.write_feather(table, draft / VIEW_TEXTS_FILE, compression="uncompressed")
-            known = {"units": made.units, "texts": [*made.texts], "assumed": made.assumed}
-            (draft / VIEW_ABOUT_FILE).write_text(json.dumps(known), encoding="utf-8")
+            record = {"units": made.units, "texts": [*made.texts], "assumed": made.assumed}
+            (draft / VIEW_ABOUT_FILE).write_text(json.dumps(record), encoding="utf-8")
             shutil.rmtree(place, ignore_errors=True)
             with suppress(OSError):  # Another command was faster.
                 shutil.move(draft, place)
-    known = content_of(place / VIEW_ABOUT_FILE)
+    known: Any = content_of(place / VIEW_ABOUT_FILE)
     names = [TIME_COLUMN, *known["units"]]
     numbers: Any = np.memmap(place / VIEW_ROWS_FILE, np.float64, "r").reshape(len(names), -1).view(np.ndarray)
     texts = feather.read_table(place / VIEW_TEXTS_FILE, memory_map=True) if known["texts"] else None

@@ -83,9 +83,9 @@ def missing_phase(bench: Bench, name: str, test: Test, r: Recording, idle: float
         if np.abs(np.diff(command[np.abs(r.time - test.at) <= 2.5 * r.step])).max(initial=0.0) < least:
             text = f"{of} has no step at {test.at:g} s of at least {'0.02 %' if of == 'duty' else '5°'}"
             return "at", _first(window), text
-    for key in ("window", "hold"):
-        low = phases.get(key, window) & (duty <= begins)
-        if name not in ("moment", "thrust_line") and low.any():
+    for key, rows in phases.items():
+        low = rows & (duty <= begins)
+        if key != "rest" and name not in ("moment", "thrust_line") and low.any():
             text = f"duty is {duty[low].min():.4g} % in `{key}`, where thrust begins above {begins:.4g} %"
             return key, _first(low), text
     if name == "thrust_line" and duty[window].max() - max(idle, duty[window].min()) < MIN_DUTY_CHANGE:
