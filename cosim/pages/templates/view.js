@@ -266,8 +266,6 @@ class Desk extends Linked {
       active: null,
       changes: [],
       follows: "so far",
-    });
-    Object.assign(this, {
       told: [...about.notes],
       isBusy: false,
       isAgain: false,
@@ -539,21 +537,15 @@ class Desk extends Linked {
         range = { ...this.view },
         planes = shown("xy"),
         across = planes.map(([plot, c]) => [c.run, plot.across.name]);
-      await this.fill(
-        "points",
-        { ...range, width },
-        shown("time").map(([, c]) => c),
-      );
-      await this.fill(
-        "plane",
-        { ...range, width: 8000, across },
-        planes.map(([, c]) => c),
-      );
-      await this.fill(
-        "spectrum",
-        range,
-        shown("spectrum").map(([, c]) => c),
-      );
+      const asked = [
+        ["points", { ...range, width }, shown("time")],
+        ["plane", { ...range, width: 8000, across }, planes],
+        ["spectrum", range, shown("spectrum")],
+      ];
+      for (const [path, about, pairs] of asked) {
+        const curves = pairs.map(([, curve]) => curve);
+        await this.fill(path, about, curves);
+      }
     } catch (error) {
       const isGone = error.message === "Failed to fetch";
       this.warn(isGone ? "The command does not respond. The data received so far remain on this page." : error.message);
