@@ -248,7 +248,11 @@ class HovercraftIntegralController(HovercraftController):
     feedback = IntegralFeedback
     settings = INTEGRAL_SETTINGS
     ports = controller_ports(settings, *INTEGRALS)
-    depends = all_dependencies(ports)
+    # saturation of a tilt affects both integrals
+    depends = (
+        {**DEPENDENCIES, **dict.fromkeys(("x_integral", "psi_integral"), TILT_DEPENDENCIES)},
+        all_dependencies(ports)[1],
+    )
 
 
 class HovercraftPredictiveController(HovercraftController):

@@ -44,7 +44,7 @@ def page(swept: Swept) -> str:
     varied, saltelli = {n: v for n, v in study.columns.items() if n != "seed"}, study.file.sampling == "saltelli"
     estimates = (sensitivity(n, v, varied, saltelli=saltelli, seed=study.file.seed) for n, v in outcomes.items())
     indices = [s for s in estimates if s is not None]
-    # Criteria that every completed run meets have no sensitivities of interest. Without others, signals are first.
+    # Criteria that every completed run meets have no sensitivities. If there are no others, signals are first.
     missed = {c["name"] for c in criteria if c["met"] != c["of"]}
     first = [s for s in indices if s.outcome in missed]
     others = [s for s in indices if s.outcome not in values]
@@ -89,6 +89,8 @@ def page(swept: Swept) -> str:
         "more_scatters": more_scatters,
         "factors": [_factor(swept, factor) for factor in study.factors],
         "plots": charts.over(np.array(record["times"], float)).plots(bands),
+        "always_met": [s.outcome for s in indices if s.outcome in values.keys() - missed],
+        "unranked": sorted(missed - {s.outcome for s in first}) if first else [],
         "sensitivities": [_indices(s) for s in first or others],
         "more_sensitivities": [_indices(s) for s in others] if first else [],
         "failures": record["failures"],
