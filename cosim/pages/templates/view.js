@@ -36,18 +36,9 @@ class SignalPlot extends Chart {
   style = ({ colour }) => `s${colour % COLOURS}${colour >= COLOURS ? " again" : ""}`;
 
   curveOf(run, name, more = {}) {
-    const { units, kinds } = this.host.runs[run];
-    return {
-      run,
-      name,
-      unit: units[name] || "",
-      kind: kinds[name],
-      colour: 0,
-      hidden: false,
-      points: null,
-      value: null,
-      ...more,
-    };
+    const { units, kinds } = this.host.runs[run],
+      fresh = { colour: 0, hidden: false, points: null, value: null };
+    return { run, name, unit: units[name] || "", kind: kinds[name], ...fresh, ...more };
   }
   // Curves of one unit share an axis; without a unit only the same signal of other runs does.
   add(pairs, place = null) {
