@@ -38,6 +38,11 @@ class RowsBetween(NamedTuple):
     last: Rows
     is_jump: NDArray[np.bool_]
 
+    def apart(self, *, jumps: bool = False) -> RowsBetween:
+        """Return the rows without a row of equal time in the other run; with `jumps`, only those at jumps."""
+        chosen = (self.first < self.last) & (self.is_jump | (not jumps))
+        return RowsBetween(self.rows[chosen], self.first[chosen], self.last[chosen], self.is_jump[chosen])
+
     def range_of(self, values: Array) -> tuple[Array, Array]:
         """Return the smallest and the largest value of the other run around each row."""
         padded = np.append(values, np.nan)  # A range may end with the last row.
@@ -308,13 +313,7 @@ def compare_runs(a: RecordedRun, b: RecordedRun, tolerance: float | None = None,
     if not aligned:
         close = min(map(time_tolerance, (of_a.time, of_b.time)))
         held = theirs, ours = surroundings(of_a.time, of_b.time, close), surroundings(of_b.time, of_a.time, close)
-        between, jumps = (
-            RowsBetween(*(part[chosen] for part in span))
-            for span, chosen in (
-                (theirs, theirs.first < theirs.last),
-                (ours, (ours.first < ours.last) & ours.is_jump),
-            )
-        )
+        between, jumps = theirs.apart(), ours.apart(jumps=True)
     for name in common:
         if not all(name in r and not (name in r.exact and is_rounded(r[name])) for r in (of_a, of_b)):
             differences.append(compare_text(a, b, name, rows, held, has_tolerance=has_tolerance))

@@ -59,7 +59,8 @@ def read_at(texts: Sequence[str]) -> tuple[Mapping[str, str], Path | None, Array
                 forms = "a time after @, such as 2.5 or 3 min, or START:STOP:STEP, such as 0:10:0.5"
                 faults.append(f"{short(text)}: write {forms}, with at most {MAX_TIMES} increasing times")
             else:
-                moments.append((Path(head), first + step * np.arange(math.floor((last - first) / step + 1e-9) + 1)))
+                number = np.arange(math.floor((last - first) / step + 1e-9) + 1)
+                moments.append((Path(head), np.asarray(first + step * number)))
             continue
         for part in text.split(","):
             name, _, value = (piece.strip() for piece in part.partition("="))

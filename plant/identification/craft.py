@@ -160,9 +160,9 @@ def _noise(logs: Sequence[Log], model: Model, window: Window | None) -> Result:
         # correlated rows count as fewer: for squares, 1 + 2·Σρ² (Bartlett)
         correlations = (sum(float(r[lag:] @ r[:-lag]) for r in rests) / max(squares, 1e-300) for lag in range(1, 6))
         free = max(2.0, freedom / (1.0 + 2.0 * sum(rho**2 for rho in correlations)))
-        ends = [free * about_line / float(stats.chi2.ppf(p, free)) for p in (0.975, 0.025)]
+        least, most = (free * about_line / float(stats.chi2.ppf(p, free)) for p in (0.975, 0.025))
         error, origin = about_line * float(np.sqrt(2.0 / free)), f"variance of {rows} rows at rest (5.44)"
-        values = (about_mean, about_line, *ends, error, 0.0, len(parts), origin)
+        values = (about_mean, about_line, least, most, error, 0.0, len(parts), origin)
         result.estimates.append(Estimate(q.name, square_unit(q.unit) or "1", *values))
         if about_mean > DRIFT_RATIO * about_line:
             ratio = f"its variance about the mean is {about_mean / about_line:.3g} times that about a straight line"
