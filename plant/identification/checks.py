@@ -194,7 +194,7 @@ def _cell_fault(m: Measurement, name: str, r: Recording) -> tuple[int, str] | No
 
 
 def result_faults(protocol: Protocol, results: Sequence[Result]) -> Iterator[Fault]:
-    """Yield a fault for each impossible result; add a warning to a result whose interval includes impossible values."""
+    """Yield a fault for each impossible result."""
     for result in results:
         for e in result.estimates:
             if e.name.startswith("lag"):  # an end of the range of tried lags is not a result
@@ -206,5 +206,3 @@ def result_faults(protocol: Protocol, results: Sequence[Result]) -> Iterator[Fau
             if not (low <= e.value <= high and np.isfinite([e.low, e.high]).all()):
                 cure = "check the units and points of the cells, and look for a deviating run"
                 yield protocol.yaml.fault(("tests", result.test), f"{text}; {cure}", key=True)
-            elif e.low < low or e.high > high:
-                result.warnings.append(f"{text}: look for a deviating run, or record more runs")
