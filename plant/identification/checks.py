@@ -25,6 +25,7 @@ from plant.identification.recordings import COLUMNS, Cells, Recording, at_rail, 
 
 MIN_DUTY_CHANGE, MIN_TILT_CHANGE = 0.1, np.radians(5)  # [%, rad] smallest variation of a command
 MIN_DUTY_STEP = 0.02  # [%]
+MIN_SWEEP = {"projection": 5.0, "moment": 5.0, "frequency": 1.0}  # [°] smallest change of the tilt
 MIN_WINDOW_ROWS, ROWS_PER_PERIOD = 10, 10  # rows of a window, and of a period of a sine
 # 20 m: a height in mm exceeds this limit
 RANGES = {"duty": (0.0, 100.0), "servo_duty": (0.0, 100.0), "height": (0.001, 20.0)}
@@ -91,8 +92,9 @@ def missing_phase(bench: Bench, name: str, test: Test, r: Recording, idle: float
     if name == "thrust_line" and duty[window].max() - max(idle, duty[window].min()) < MIN_DUTY_CHANGE:
         text = f"the duty in `window` needs a ramp of at least {MIN_DUTY_CHANGE:g} % above {idle:.4g} %"
         return "window", _first(window), f"{text}, where thrust begins"
-    if name in ("projection", "moment", "frequency") and np.ptp(angle[window]) < MIN_TILT_CHANGE:
-        return "window", _first(window), "the tilt in `window` changes by less than 5°"
+    change, least = np.degrees(np.ptp(angle[window])), MIN_SWEEP.get(name, 0.0)
+    if change < least:
+        return "window", _first(window), f"the tilt in `window` changes by {change:.3g}°, less than {least:g}°"
     if name == "moment" and (running := window & (duty > max(REST_DUTY, at_rest) + MIN_DUTY_CHANGE)).any():
         return "window", _first(running), f"duty is {duty[running].max():.4g} % in `window`, which needs the motor off"
     if isinstance(test, SineTest):
