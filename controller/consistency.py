@@ -400,7 +400,12 @@ def page(rows: Sequence[ConsistencyRow], steps: int, seed: int) -> str:
     """Return the self-contained HTML page of a consistency test."""
     charts, runs, plots = Charts(), rows[0].result.runs, dict[tuple[str, str], list[Plot]]()
     for row in rows:
-        plots.setdefault((row.case, row.flight), []).append(_plot(row, charts))
+        r = row.result
+        traces = (Trace(f"mean of {counted(r.runs, 'run')}", r.at_times, "true"),)
+        low, high = (np.full(row.at.size, edge) for edge in r.at_time)
+        band = Band("95 % range of a consistent estimator", low, high)
+        panel = Panel(row.of, "1", traces, band, (float(r.degrees),), "expected mean")
+        plots.setdefault((row.case, row.flight), []).extend(charts.over(row.at).plots([panel]))
     is_good = all(row.result.verdict == CONSISTENT for row in rows)
     values = {
         "badges": [f"{counted(runs, 'run')} of {counted(steps, 'sample')} each", f"seed {seed}"],
@@ -412,14 +417,3 @@ def page(rows: Sequence[ConsistencyRow], steps: int, seed: int) -> str:
         "repeat": f"cosim consistency --runs {runs} --steps {steps} --seed {seed}",
     }
     return render(TEMPLATE, values, charts)
-
-
-def _plot(row: ConsistencyRow, charts: Charts) -> Plot:
-    """Draw the mean over the runs and the 95 % range of a consistent estimator."""
-    r = row.result
-    low, high = (np.full(row.at.size, edge) for edge in r.at_time)
-    traces = (Trace(f"mean of {counted(r.runs, 'run')}", r.at_times, "true"),)
-    band = Band("95 % range of a consistent estimator", low, high)
-    panel = Panel(row.of, "1", traces, band, (float(r.degrees),), "expected mean")
-    (plot,) = charts.over(row.at).plots([panel])
-    return plot

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
 from pathlib import Path
 
-from cosim.core.errors import InputError
 from cosim.core.settings import Seed
 from cosim.files.files import FilePath, write_json, write_text
 from cosim.files.folders import new_run, remove_earlier
@@ -34,21 +32,17 @@ def identify_command(
 
     Example: cosim identify examples/bench/protocol.yaml
     """
-    from cosim.files.yaml_file import YamlFile
     from plant.identification.workflow import identify as identify_bench
 
-    name = protocol.stem if protocol.is_file() else ""
-    with suppress(InputError):  # reported below
-        given = YamlFile(protocol).root.get("name")
-        name = given if isinstance(given, str) else name
-    with new_run(out, name, "cosim identify", force=force) as place, progress_bar() as progress:
-        outcome = identify_bench(protocol, place, progress, report=report, seed=seed)
+    with progress_bar() as progress:
+        outcome = identify_bench(protocol, out, progress, report=report, seed=seed, force=force)
+    place = outcome.model_file.parent
     warn(*outcome.warnings)
-    say(*outcome.sentences, outcome.closing(place))
+    say(*outcome.sentences, outcome.closing)
     if report:
         say(f"report: {place / 'report.html'}")
     if json:
-        texts = {"sentences": list(outcome.sentences), "closing": outcome.closing(place), "warnings": outcome.warnings}
+        texts = {"sentences": list(outcome.sentences), "closing": outcome.closing, "warnings": outcome.warnings}
         say_json({**texts, **files_in(place, "identify.json", "powertrain.yaml", "model.yaml")})
     show(place / "report.html", open)
 

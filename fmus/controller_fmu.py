@@ -189,6 +189,13 @@ class SampledSlave(Slave):
 # -- controllers ----------------------------------------------------------------------------------
 
 
+def all_dependencies(ports: Sequence[Port]) -> tuple[Dependencies, Dependencies]:
+    """Return dependencies of each output: all inputs at a sample, references and numbers in initialization mode."""
+    outputs, inputs = ([p.name for p in ports if p.causality == causality] for causality in ("output", "input"))
+    known = [p.name for p in ports if p.name.endswith("_ref") or (p.causality == "parameter" and p.kind == "Real")]
+    return dict.fromkeys(outputs, inputs), dict.fromkeys(outputs, known)
+
+
 class HovercraftController(SampledSlave):
     """A controller with sample times: a communication step is one sample; steps other than `sample_time` are rejected.
 
@@ -244,23 +251,8 @@ class HovercraftIntegralController(HovercraftController):
     # saturation of a tilt affects both integrals
     depends = (
         {**DEPENDENCIES, **dict.fromkeys(("x_integral", "psi_integral"), TILT_DEPENDENCIES)},
-        {**INITIAL_DEPENDENCIES, "x_integral": (), "psi_integral": ()},
+        all_dependencies(ports)[1],
     )
-
-
-def predictive_dependencies(ports: Sequence[Port], *, own_filter: bool = False) -> tuple[Dependencies, Dependencies]:
-    """Return dependencies of the outputs: commands depend on all inputs or numbers, with `own_filter` estimates too."""
-    inputs = tuple(p.name for p in ports if p.causality == "input")
-    numbers = [p.name for p in ports if p.causality == "parameter" and p.kind == "Real" and p.name[:2] != "k_"]
-    solved = ("duty_right", "duty_left", "tilt_right", "tilt_left", "iterations", "solved")
-    at_sample = {**DEPENDENCIES, "y_hat": ("y_meas", "fix"), "y_sigma": ("fix",), **dict.fromkeys(solved, inputs)}
-    at_start = {**INITIAL_DEPENDENCIES, "y_hat": ("y_hat_start",), "y_sigma": ()}
-    at_start |= dict.fromkeys(solved, ("x_ref", "psi_ref", "y_ref", *numbers))
-    if own_filter:
-        estimates = (*ESTIMATE, "x_sigma", "psi_sigma", "y_hat", "y_sigma")
-        at_sample |= dict.fromkeys(estimates, tuple(n for n in inputs if not n.endswith("_ref")))
-        at_start["a_hat"] = tuple(numbers)
-    return at_sample, at_start
 
 
 class HovercraftPredictiveController(HovercraftController):
@@ -274,7 +266,7 @@ class HovercraftPredictiveController(HovercraftController):
     needs_jacobians = True
     settings: ClassVar[Settings] = PredictiveSettings()
     ports = controller_ports(settings, *LATERAL)
-    depends = predictive_dependencies(ports)
+    depends = all_dependencies(ports)
 
     def law(self, settings: Any, given: dict[str, Value]) -> Law:
         """Return the predictive law; its solver is imported here, since other controllers do not need it."""
@@ -294,7 +286,7 @@ class HovercraftTimeVariantController(HovercraftPredictiveController):
     parts = (LOOP, "predictive:PredictiveLaw", "observers:ExtendedFilter")
     settings = TimeVariantSettings()
     ports = controller_ports(settings, *LATERAL)
-    depends = predictive_dependencies(ports, own_filter=True)
+    depends = all_dependencies(ports)
 
 
 # -- estimators -----------------------------------------------------------------------------------
@@ -316,7 +308,6 @@ SIGNAL_PORTS = (
 OUTPUT_NAMES = tuple(p.name for p in SIGNAL_PORTS if p.causality == "output")
 # Inputs are constant until the next sample, so no output depends on the command of the same time.
 ESTIMATED_FROM: Dependencies = dict.fromkeys(OUTPUT_NAMES, ("psi", "psi_dot", "ax", "x_meas", "y_meas", "fix"))
-ESTIMATED_AT_START: Dependencies = dict.fromkeys(OUTPUT_NAMES, ()) | {n: (f"{n}_start",) for n in ESTIMATE}
 NUMERIC_PARAMETERS = [p for p in parameters_of(Hovercraft) if not isinstance(p.default, bool)]
 FIX_AXES = "fixes are along the craft's own axes, or the world's: own, world"
 
@@ -325,7 +316,6 @@ class Estimator(SampledSlave):
     """Sampled estimator: a communication step is one sample; other steps than `sample_time` are rejected."""
 
     who = "estimator"
-    depends = ESTIMATED_FROM, ESTIMATED_AT_START
 
     def process(self) -> None:
         """Process one sample."""
@@ -343,6 +333,7 @@ class HovercraftFilter(Estimator):
         *SIGNAL_PORTS,
         *settings_ports(settings, "estimator", f"estimator: {', '.join(settings.choices['estimator'])}"),
     )
+    depends = ESTIMATED_FROM, all_dependencies(ports)[1]
 
     def start(self, settings: Any, x_hat: list[float], given: dict[str, Value]) -> Any:
         """Return the filter or double integration."""
@@ -362,8 +353,7 @@ class HovercraftEkf(Estimator):
         *(parameter_port(p, p.default) for p in NUMERIC_PARAMETERS),
         *settings_ports(settings, "axes", FIX_AXES),
     )
-    # The acceleration at the start also depends on plant parameters.
-    depends = ESTIMATED_FROM, {**ESTIMATED_AT_START, "a_hat": [p.name for p in ports if p.causality == "parameter"]}
+    depends = ESTIMATED_FROM, all_dependencies(ports)[1]
 
     def start(self, settings: Any, x_hat: list[float], given: dict[str, Value]) -> ExtendedFilter:
         """Return the filter; both propellers start at the tilt of acceleration a_hat_start."""

@@ -170,7 +170,7 @@ def test_what_does_not_fit_is_refused(tank: Path, project: Path, plant_fmu: Path
         ("", ["lewel=1,inflow=many"], {}, 2),
         ("", ["level"], {}, 1),
         ("", [], {"set": ["aera=1"]}, 1),
-        ("", [], {"states": ["lewel"], "inputs": ["level"], "outputs": ["level", "level"]}, 3),
+        ("", [], {"states": ["lewel"], "inputs": ["level"], "outputs": ["inflow"]}, 3),
         ("", [f"{scenario}@1"], {}, 1),
         ("base", [f"{scenario}@11"], {}, 1),
         ("base", [f"{scenario}@1"], {"component": "plont"}, 1),

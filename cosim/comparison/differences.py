@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,83 +23,67 @@ from cosim.simulation.run_signals import RecordedRun
 
 # tolerance of equal values after a unit conversion there and back, as a fraction
 CONVERSION_TOLERANCE = 8 * float(np.finfo(float).eps)
-BETWEEN = "between rows of the baseline"
 MAX_LISTED_SIGNALS = 12  # signals in a short text
 
 
-@dataclass(frozen=True)
-class RowsBetween:
-    """Rows of run b, each with the rows `first` to `last` of run a that span its allowed range.
+class RowsBetween(NamedTuple):
+    """Rows of a run, each with the rows `first` to `last` of another run that span its allowed range.
 
     Attributes:
-        is_jump: True if a or b has several rows at the time of the row.
+        is_jump: True if a run has several rows at the time of the row.
     """
 
     rows: Rows
-    time: Array
     first: Rows
     last: Rows
     is_jump: NDArray[np.bool_]
 
-    def outside(self, a: Array, b: Array) -> tuple[float, float]:
-        """Return the largest distance of b from the range spanned by the surrounding rows of a, and its time [s].
+    def apart(self, *, jumps: bool = False) -> RowsBetween:
+        """Return the rows without a row of equal time in the other run; with `jumps`, only those at jumps."""
+        chosen = (self.first < self.last) & (self.is_jump | (not jumps))
+        return RowsBetween(self.rows[chosen], self.first[chosen], self.last[chosen], self.is_jump[chosen])
 
-        The distance is infinite if a number is missing in one run only, and 0 if b has no rows between rows of a.
-        """
-        if not self.rows.size:
-            return 0.0, 0.0
-        low, high = self._range(a)
-        ends = np.column_stack((self.first, self.last + 1)).ravel()
-        gaps = np.add.reduceat(np.isnan(np.append(a, 0.0)), ends)[::2] > 0
-        values = b[self.rows]
-        with np.errstate(invalid="ignore"):
-            out = np.fmax(np.fmax(low - values, values - high), 0.0)
-        out = np.where((values == low) | (values == high), 0.0, out)  # equal infinities differ by 0
-        out = np.where(np.isnan(values), np.where(gaps, 0.0, np.inf), np.where(np.isnan(low), np.inf, out))
-        row = int(np.argmax(out))
-        return float(out[row]), float(self.time[row])
-
-    def other_text(self, a: Sequence[str], b: Sequence[str]) -> float | None:
-        """Return the first time [s] at which the text of b differs from the surrounding texts of a; None if never."""
-        for row, time, first, last in zip(self.rows, self.time, self.first, self.last, strict=True):
-            if b[int(row)] not in a[int(first) : int(last) + 1]:
-                return float(time)
-        return None
-
-    def nearest(self, a: Array, b: Array) -> Array:
-        """Return b with each of the rows replaced by the nearest value in the range of a."""
-        values = b.copy()
-        if self.rows.size:
-            values[self.rows] = np.clip(b[self.rows], *self._range(a))
-        return values
-
-    def _range(self, a: Array) -> tuple[Array, Array]:
-        """Return the smallest and largest value of a around each row."""
-        padded = np.append(a, np.nan)  # A range may end with the last row.
+    def range_of(self, values: Array) -> tuple[Array, Array]:
+        """Return the smallest and the largest value of the other run around each row."""
+        padded = np.append(values, np.nan)  # A range may end with the last row.
         ends = np.column_stack((self.first, self.last + 1)).ravel()
         return np.fmin.reduceat(padded, ends)[::2], np.fmax.reduceat(padded, ends)[::2]
 
-    def only(self, *, jumps: bool = False) -> RowsBetween:
-        """Return the rows of b that are between rows of a or at jumps; with `jumps`, only those at jumps."""
-        chosen = (self.first < self.last) & (self.is_jump | (not jumps))
-        first, last = self.first[chosen], self.last[chosen]
-        return RowsBetween(self.rows[chosen], self.time[chosen], first, last, self.is_jump[chosen])
+    def nearest(self, other: Array, own: Array) -> Array:
+        """Return the values of the run, with each of the rows replaced by the nearest value in its allowed range."""
+        values = own.copy()
+        values[self.rows] = np.clip(own[self.rows], *self.range_of(other))
+        return values
+
+    def distances(self, other: Array, own: Array) -> Array:
+        """Return the distance of each row from its allowed range; infinite if a number is missing in one run only."""
+        (low, high), values = self.range_of(other), own[self.rows]
+        with np.errstate(invalid="ignore"):
+            out = np.fmax(np.fmax(low - values, values - high), 0.0)
+        out = np.where((values == low) | (values == high), 0.0, out)  # equal infinities differ by 0
+        has_gap = self.range_of(np.isnan(other))[1] > 0
+        return np.where(np.isnan(values), np.where(has_gap, 0.0, np.inf), np.where(np.isnan(low), np.inf, out))
+
+    def other_texts(self, other: Sequence[str], own: Sequence[str]) -> list[int]:
+        """Return the rows with a text that differs from the surrounding texts of the other run."""
+        spans = zip(*(part.tolist() for part in self[:3]), strict=True)
+        return [row for row, first, last in spans if own[row] not in other[first : last + 1]]
 
 
-def surroundings(a: Array, b: Array, tolerance: float) -> RowsBetween:
-    """Return the rows of b within the time of a, with the surrounding rows of a (a single row at an equal time).
+def surroundings(other: Array, own: Array, tolerance: float) -> RowsBetween:
+    """Return the rows at times `own` within the time of the other run; a row of equal time is its only neighbour.
 
     Args:
         tolerance: Largest difference of equal times [s].
     """
-    after, upto = np.searchsorted(a, b - tolerance, side="left"), np.searchsorted(a, b + tolerance, side="right")
-    is_apart = np.diff(b) > tolerance
+    after, upto = (np.searchsorted(other, own - tolerance, "left"), np.searchsorted(other, own + tolerance, "right"))
+    is_apart = np.diff(own) > tolerance
     alone = np.append(True, is_apart) & np.append(is_apart, True)
     matched = alone & (upto - after == 1)
     first, last = np.where(matched, after, after - 1), np.where(matched, after, upto)
-    rows = np.flatnonzero((b >= a[0] - tolerance) & (b <= a[-1] + tolerance))
+    rows = np.flatnonzero((own >= other[0] - tolerance) & (own <= other[-1] + tolerance))
     is_jump = ((upto - after > 1) | ~alone)[rows]
-    return RowsBetween(rows, b[rows], np.maximum(first[rows], 0), np.minimum(last[rows], a.size - 1), is_jump)
+    return RowsBetween(rows, np.maximum(first[rows], 0), np.minimum(last[rows], other.size - 1), is_jump)
 
 
 @dataclass(frozen=True)
@@ -210,8 +194,9 @@ def compare_text(
         pairs = zip(first[rows], second[: time.size], strict=True)
         differs = next((float(time[k]) for k, (x, y) in enumerate(pairs) if x != y), None)
     else:
-        times = held[1].other_text(second, first), held[0].other_text(first, second)
-        differs = min((t for t in times if t is not None), default=None)
+        times = [float(a.results.time[row]) for row in held[1].other_texts(second, first)]
+        times += [float(b.results.time[row]) for row in held[0].other_texts(first, second)]
+        differs = min(times, default=None)
     if differs is None:
         return Difference(name, "", 0.0, float(time[0]), 0.0, 1.0, 0.0, False, "text")
     return Difference(name, "", 1.0, differs, 1.0, 1.0, 1.0, has_tolerance, "text differs")
@@ -324,12 +309,11 @@ def compare_runs(a: RecordedRun, b: RecordedRun, tolerance: float | None = None,
         raise InputError.at(b.path, f"has no time in common with {a.path}: {spans[1]} here, {spans[0]} there")
     of_a, of_b, has_tolerance = a.results, b.results, tolerance is not None
     values: dict[str, tuple[Array, Array]] = {}
-    differences, held, apart = list[Difference](), None, None
+    differences, held = list[Difference](), None
     if not aligned:
         close = min(map(time_tolerance, (of_a.time, of_b.time)))
-        theirs, ours = surroundings(of_a.time, of_b.time, close), surroundings(of_b.time, of_a.time, close)
-        held = theirs, ours
-        apart = theirs.only(), ours.only(jumps=True)
+        held = theirs, ours = surroundings(of_a.time, of_b.time, close), surroundings(of_b.time, of_a.time, close)
+        between, jumps = theirs.apart(), ours.apart(jumps=True)
     for name in common:
         if not all(name in r and not (name in r.exact and is_rounded(r[name])) for r in (of_a, of_b)):
             differences.append(compare_text(a, b, name, rows, held, has_tolerance=has_tolerance))
@@ -342,15 +326,14 @@ def compare_runs(a: RecordedRun, b: RecordedRun, tolerance: float | None = None,
             continue
         first, second = of_a[name], of_b[name] if by == Conversion() else by.factor * of_b[name] + by.offset
         around = None
-        if held is None or apart is None:
+        if held is None:
             at_times = second[: time.size]
         elif is_held(a, b, name):
-            around, at_times = held[0], held[1].nearest(second, first)[rows]
+            around, at_times = theirs, ours.nearest(second, first)[rows]
         else:
-            around, jumps = apart
             at_jumps = np.isin(np.arange(of_a.time.size)[rows], jumps.rows)
-            at_times = np.interp(time, of_b.time, second)
-            at_times = np.where(at_jumps, jumps.nearest(second, first)[rows], at_times)
+            at_times = np.where(at_jumps, jumps.nearest(second, first)[rows], np.interp(time, of_b.time, second))
+            around = between
         values[name] = first[rows], at_times
         found = compare_numbers(name, unit or other, time, values[name], by)
         notes = [unit_note(unit, other, found, by)]
@@ -358,11 +341,13 @@ def compare_runs(a: RecordedRun, b: RecordedRun, tolerance: float | None = None,
             gaps = np.abs(at_times - first[rows])[np.isfinite(half)]
             beyond_band = float(np.mean(gaps > half[np.isfinite(half)])) if gaps.size else 0.0
             notes.append(f"for {percent(beyond_band)} of the time beyond the error band of the baseline")
-        if around is not None:
-            outside, at = around.outside(first, second)  # distance of intermediate rows of b from the range of a
-            if outside > max(found.largest, CONVERSION_TOLERANCE * found.scale):
-                found = replace(found, largest=outside, at=at, share=outside / found.scale)
-                notes.append(BETWEEN)
+        if around is not None and around.rows.size:
+            outside = around.distances(first, second)  # of intermediate rows of b from the range of a
+            row = int(np.argmax(outside))
+            if (size := float(outside[row])) > max(found.largest, CONVERSION_TOLERANCE * found.scale):
+                at = float(of_b.time[around.rows[row]])
+                found = replace(found, largest=size, at=at, share=size / found.scale)
+                notes.append("between rows of the baseline")
         is_beyond = tolerance is not None and not found.largest <= absolute + tolerance * found.scale  # also of NaN
         differences.append(replace(found, beyond=is_beyond, note="; ".join(filter(None, notes))))
     step = float(np.max(np.diff(of_a.time))) if of_a.time.size > 1 else 0.0

@@ -65,10 +65,6 @@ def exact_line(row: Sequence[Any]) -> bytes:
     return json.dumps([{"hex": v.hex()} if isinstance(v, bytes) else v for v in row]).encode() + b"\n"
 
 
-# beside the rows of a run under way: units of its columns, start and step, file of its progress
-LIVE_ROWS_FILE = "rows.json"
-
-
 @dataclass(frozen=True)
 class Rows:
     """Rows of a run while it is recorded, and the progress of the run.

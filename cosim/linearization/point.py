@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -22,12 +23,10 @@ from cosim.files.yaml_file import short
 from cosim.linearization.linear_model import Point
 from cosim.linearization.sources import EquationSource, Source
 from cosim.model.integrate import Stepper
-from cosim.scenario.scenario_file import ScenarioFile
-from cosim.simulation.packaged import is_ssp
 from cosim.simulation.workflow import run
 
 MAX_OUTPUT_DIFFERENCE = 1e-6  # largest difference between model and component, relative to the output's range
-MAX_MISSING_NAMES = 8  # missing signals listed in a message
+MAX_MISSING_NAMES = 8  # signals listed in a message
 SCENARIOS = {".yaml", ".yml", ".json", ".ssp", ".ssd"}
 MAX_TIMES = 100_000
 AT_OPTION = Path("--at")
@@ -50,43 +49,30 @@ def read_at(texts: Sequence[str]) -> tuple[Mapping[str, str], Path | None, Array
     for text in texts:
         head, at, tail = text.rpartition("@")
         if at and (Path(head).suffix.lower() in SCENARIOS or "=" not in head):
-            try:
-                moments.append((Path(head), _times(tail)))
-            except ValueError as error:
-                faults.append(f"{short(text)}: {error}")
+            numbers = list[float]()
+            with suppress(ValueError):
+                numbers = [read_quantity(part, "s") for part in tail.split(":")]
+            if len(numbers) == 1:
+                numbers = [*numbers, *numbers, 1.0]
+            first, last, step = numbers if len(numbers) == 3 else (1.0, 0.0, 1.0)
+            if not (last >= first and step > 0.0 and last - first < MAX_TIMES * step):
+                forms = "a time after @, such as 2.5 or 3 min, or START:STOP:STEP, such as 0:10:0.5"
+                faults.append(f"{short(text)}: write {forms}, with at most {MAX_TIMES} increasing times")
+            else:
+                number = np.arange(math.floor((last - first) / step + 1e-9) + 1)
+                moments.append((Path(head), np.asarray(first + step * number)))
             continue
         for part in text.split(","):
             name, _, value = (piece.strip() for piece in part.partition("="))
-            if not (name and value):
-                kinds = "has neither the form NAME=VALUE of a state or input, such as level=0.5, nor SCENARIO.yaml@TIME"
-                faults.append(f"{short(text)} is {kinds}")
+            if not (name and value) or name in values:
+                forms = "give NAME=VALUE once for a state or input, such as level=0.5, or SCENARIO.yaml@TIME"
+                faults.append(f"{short(text)}: {forms}")
                 break
-            if name in values:
-                both = f"{short(values[name])} and {short(value)}"
-                faults.append(f"{name} is given twice, {both}; give it once")
-            values.setdefault(name, value)
+            values[name] = value
     if len(moments) > 1:
         faults.append(f"{len(moments)} scenarios are given; give one")
     refuse(Fault(AT_OPTION, 0, 0, fault) for fault in faults)
     return values, *(moments[0] if moments else (None, np.zeros(0)))
-
-
-def _times(text: str) -> Array:
-    try:
-        first, *more = (read_quantity(part, "s") for part in text.split(":"))
-    except ValueError:
-        more = [math.nan]
-    if len(more) not in {0, 2}:
-        raise ValueError("write a time after @, such as 2.5 or 3 min, or several as START:STOP:STEP, such as 0:10:0.5")
-    if not more:
-        return np.array([first])
-    last, step = more
-    if not (last >= first and step > 0.0):
-        raise ValueError("STOP of START:STOP:STEP is before START, or STEP is not above 0; give increasing times")
-    count = math.floor((last - first) / step + 1e-9) + 1
-    if count > MAX_TIMES:
-        raise ValueError(f"{count} times exceed the limit of {MAX_TIMES}; use a longer step")
-    return np.asarray(first + step * np.arange(count))
 
 
 def move(source: Source, point: Point, values: Mapping[str, str]) -> Point:
@@ -126,18 +112,17 @@ def points_along(
         component: Name in the scenario if several components have the model's inputs and outputs.
         over: Parameters that override those of the scenario.
     """
-    if not scenario.is_file():
-        raise InputError.at(scenario, "no such scenario; check its path")
-    if not is_ssp(scenario):  # checked before the scenario is run
-        content = ScenarioFile(scenario).scenario
-        _check_times(scenario, times, content.start_time, content.start_time + content.duration)
-        if component and component not in content.components:
-            names = ", ".join(content.components)
-            text = f'{scenario} has no component "{component}" ({names})'
-            raise InputError.at(Path("--component"), text)
     with temporary_folder("linearize") as folder:
         results, manifest = _run(scenario, folder)
-        name = _component(results, source, scenario, component)
+        columns, signals = set(results.columns), (*source.inputs, *source.outputs)
+        owners = [component] if component else dict.fromkeys(column.partition(".")[0] for column in results.columns)
+        fitting = [owner for owner in owners if columns.issuperset(f"{owner}.{signal}" for signal in signals)]
+        if len(fitting) != 1:
+            text = f"the components of {scenario} with all inputs and outputs of {source.title}"
+            text += f" ({', '.join(signals[:MAX_MISSING_NAMES])}{', …' * (len(signals) > MAX_MISSING_NAMES)})"
+            cure = "choose one with --component NAME, or another scenario"
+            raise InputError.at(AT_OPTION, f"{text} are: {', '.join(fitting) or 'none'}; {cure}")
+        (name,) = fitting
         if source.states and not isinstance(source, EquationSource):
             states = [f"{name}.{state}" for state in source.states]
             record = as_yaml([*(manifest["scenario"].get("record") or ()), *states])
@@ -145,7 +130,10 @@ def points_along(
             results, manifest = _run(scenario, folder, [f"record={record}", f"components.{name}.fmu={fmu}"])
     start = dict(manifest["scenario"]["components"].get(name, {}).get("start") or {})
     source, time, notes = source.with_values(start, over), results.time, list[str]()
-    _check_times(scenario, times, float(time[0]), float(time[-1]))
+    outside = (times < time[0] - rounding(float(time[0]))) | (times > time[-1] + rounding(float(time[-1])))
+    if outside.any():
+        text = f"{times[outside][0]:g} s is outside the run of {scenario} from {time[0]:g} to {time[-1]:g} s"
+        raise InputError.at(AT_OPTION, text)
     step = float(np.min(np.diff(time), initial=1.0))
     rows = np.searchsorted(time, times + roundings(times, step), side="right") - 1
     if (np.abs(time[rows] - times) > roundings(times, 1e3 * step)).any():
@@ -173,26 +161,6 @@ def points_along(
     return source, [Point(float(time[k]), values[k], inputs[k]) for k in rows], notes
 
 
-def _component(results: Results, source: Source, scenario: Path, name: str) -> str:
-    """Return the name of the scenario component that has the model's inputs and outputs."""
-    columns, signals = set(results.columns), (*source.inputs, *source.outputs)
-    owners = dict.fromkeys(column.partition(".")[0] for column in results.columns)
-    missing = {owner: [n for n in signals if f"{owner}.{n}" not in columns] for owner in owners}
-    fitting = [owner for owner, names in missing.items() if not names]
-    if name in fitting or (not name and len(fitting) == 1):
-        return name or fitting[0]
-    if not name and fitting:
-        names = ", ".join(fitting)
-        raise InputError.at(AT_OPTION, f"several components fit the model: {names}; choose one with --component NAME")
-    absent = missing.get(name, signals)
-    names = f"{', '.join(absent[:MAX_MISSING_NAMES])}{', …' if len(absent) > MAX_MISSING_NAMES else ''}"
-    if name:
-        text = f"{name} lacks inputs or outputs of {source.title} ({names}); give another component"
-        raise InputError.at(AT_OPTION, text)
-    text = f"no component of {scenario} has the inputs and outputs of {source.title} ({names})"
-    raise InputError.at(AT_OPTION, f"{text}; give another scenario")
-
-
 def _columns(results: Results, component: str, names: Sequence[str]) -> Array:
     """Return signals of a component as columns; NaN for signals that are not recorded."""
     empty = np.full(len(results.time), np.nan)
@@ -215,13 +183,6 @@ def _simulate(source: EquationSource, start: Mapping[str, Any], time: Array, inp
         states.append(np.array(moment.state, float))
         outputs.append(source.evaluate(float(time[k]), states[k], inputs[k])[len(source.states) :])
     return np.array(states), np.array(outputs)
-
-
-def _check_times(scenario: Path, times: Array, first: float, last: float) -> None:
-    for time in times.tolist():
-        if not first - rounding(first) <= time <= last + rounding(last):
-            text = f"{time:g} s is outside the run of {scenario} from {first:g} to {last:g} s"
-            raise InputError.at(AT_OPTION, text)
 
 
 def _run(scenario: Path, folder: Path, overrides: Sequence[str] = ()) -> tuple[Results, Mapping[str, Any]]:

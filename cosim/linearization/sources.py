@@ -285,22 +285,19 @@ def with_parameters(model: Model, texts: Sequence[str]) -> Model:
     Raises:
         InputError: Texts have faults; the error names all of them.
     """
-    faults, values = [], dict[str, Any]()
+    faults, values = list[Fault](), dict[str, Any]()
     for text in texts:
-        name, sign, value = (part.strip() for part in text.partition("="))
-        declared = model.declared.get(name)
-        if not sign or not name:
-            faults.append(f"{short(text)} does not have the form NAME=VALUE; for example mass=2")
-        elif declared is None:
-            faults.append(f'{model.title} has no parameter "{name}"{did_you_mean(name, model.declared)}')
-        else:
-            try:
-                is_switch = isinstance(declared.default, bool)
-                switch: dict[str, Any] = {"true": True, "false": False}
-                values[name] = switch.get(value, short(value)) if is_switch else read_quantity(value, declared.unit)
-            except ValueError as error:
-                faults.append(f"{name}={short(value)}: {error}")
-    refuse(Fault(Path("--set"), 0, 0, fault) for fault in faults)
+        name, _, value = (part.strip() for part in text.partition("="))
+        try:
+            if (declared := model.declared.get(name)) is None:
+                hint = did_you_mean(name, model.declared)
+                raise ValueError(f"{model.title} has no such parameter{hint}; write NAME=VALUE, such as mass=2")
+            is_switch = isinstance(declared.default, bool)
+            switch: dict[str, Any] = {"true": True, "false": False}
+            values[name] = switch.get(value, short(value)) if is_switch else read_quantity(value, declared.unit)
+        except ValueError as error:
+            faults.append(Fault(Path("--set"), 0, 0, f"{short(text)}: {error}"))
+    refuse(faults)
     try:
         return model.with_values(values)
     except ValueError as error:

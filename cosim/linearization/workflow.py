@@ -90,15 +90,14 @@ def linearize(
             ("residualize", residualize, source.states),
         ):
             kind = "state" if names is source.states else option.removesuffix("s")
-            for name in dict.fromkeys(chosen):
+            for name in chosen:
                 if name not in names:
                     text = f'{source.title} has no {kind} "{name}"{did_you_mean(name, names)}'
                     faults.append(Fault(Path(f"--{option}"), 0, 0, text))
-                if list(chosen).count(name) > 1:
-                    faults.append(Fault(Path(f"--{option}"), 0, 0, f"{name} is given twice; give it once"))
         text = "is also selected by --states; remove it from one of the two"
         faults += [Fault(Path("--residualize"), 0, 0, f"{name} {text}") for name in residualize if name in states]
         refuse(faults)
+        states, inputs, outputs = ([*dict.fromkeys(chosen)] for chosen in (states, inputs, outputs))
         states = states or [n for n in source.states if n not in residualize]
         inputs, outputs = inputs or source.inputs, outputs or source.outputs
         if folder is not None:

@@ -81,14 +81,10 @@ def write(folder: Path, outcome: Outcome) -> None:
 def content(outcome: Outcome) -> dict[str, Any]:
     """Return the content of linear.json, with matrices as lists of rows; a number that is not finite becomes null."""
     first, structure = outcome.first, outcome.structure
-    poles = [
-        {
-            "real": p.value.real,
-            "imag": p.value.imag,
-            **{key: v if math.isfinite(v) else None for key, v in asdict(p).items() if key != "value"},
-        }
-        for p in structure.poles
-    ]
+    poles = []
+    for p in structure.poles:
+        numbers = {key: v if math.isfinite(v) else None for key, v in asdict(p).items() if key != "value"}
+        poles.append({"real": p.value.real, "imag": p.value.imag, **numbers})
     condition = structure.condition if math.isfinite(structure.condition) else None
     return {
         "schema_version": 1,

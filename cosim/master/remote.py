@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import json
 import os
 import tempfile
 from collections.abc import Mapping, Sequence
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -26,7 +25,6 @@ from cosim.isolation import worker as here
 from cosim.isolation.limits import Limits
 from cosim.isolation.process import Worker
 from cosim.isolation.rows import (
-    LIVE_ROWS_FILE,
     ExactFile,
     Progress,
     Rows,
@@ -109,18 +107,6 @@ def simulate_in(
         counters.loop, counters.stop[0], counters.hold[0], counters.sent[0] = b"", 0, 0, 0
         control = Control(system, exchange, counters)
         table, rows = _begin_rows(stack, worker, folder, steps + 1, columns, kept)
-        units = {name: system.units.get(name, "") for name in system.columns}
-        about = {
-            "units": units,
-            "display": {**system.display},
-            "start": system.start,
-            "step": h,
-            "progress": str(worker.progress_file),
-        }
-        followed = table.with_name(LIVE_ROWS_FILE)
-        stack.callback(followed.unlink, missing_ok=True)
-        with suppress(OSError):  # if the disk is full, the run cannot be followed live, but continues
-            followed.write_text(json.dumps(about), encoding="utf-8")
         mapped = np.memmap(table, np.float64, "r", shape=(rows, columns)) if observers and columns else None
         feed = Feed(observers, system, steps, h, control, mapped)
 

@@ -69,17 +69,15 @@ OPERATORS: dict[type[ast.AST], Callable[..., Any]] = {
 }
 
 
-def evaluate(text: str, signals: Mapping[str, tuple[Recording, str]], name: str = "") -> tuple[Array, list[str]]:
-    """Return the values of a formula at the rows of its first signal, and notes on them.
+def evaluate(text: str, signals: Mapping[str, tuple[Recording, str]]) -> Array:
+    """Return the values of a formula at the rows of its first signal.
 
     Args:
         signals: Letter → signal. A signal of another run is interpolated linearly.
-        name: Name of the derived signal, for the notes.
 
     Raises:
         InputError: The formula is invalid, or uses a letter without a signal.
     """
-    notes: list[str] = []
 
     def refuse(reason: str) -> NoReturn:
         functions = ", ".join(FORMULA_FUNCTIONS)
@@ -112,12 +110,7 @@ def evaluate(text: str, signals: Mapping[str, tuple[Recording, str]], name: str 
         if any(np.ndim(c) or not float(c) >= 0.0 for c in constants):
             refuse("the time constant of lowpass must be a number [s]")
         values, out = np.broadcast_to(values, time.shape), np.full(time.size, np.nan)
-        rows = np.flatnonzero(np.isfinite(values))
-        wide = np.flatnonzero(np.diff(rows) > 1)
-        if function == "integral" and wide.size:
-            longest = float(np.max(time[rows[wide + 1]] - time[rows[wide]]))
-            gaps = f"{counted(wide.size, 'gap')} without values, the longest {longest:.3g} s"
-            notes.append(f"{name or text}: {gaps}, interpolated linearly")
+        rows = np.isfinite(values)
         out[rows] = OVER_TIME[function](time[rows], values[rows], *map(float, constants))
         return out
 
@@ -130,10 +123,7 @@ def evaluate(text: str, signals: Mapping[str, tuple[Recording, str]], name: str 
     except (SyntaxError, ValueError, RecursionError, MemoryError):
         refuse("it is not a formula")
     with np.errstate(all="ignore"):
-        values = np.broadcast_to(value(tree), time.shape).astype(np.float64)
-    if not np.isfinite(values).any():
-        notes.append(f"{name or text} has no value in any row")
-    return values, notes
+        return np.broadcast_to(value(tree), time.shape).astype(np.float64)
 
 
 # -- derived signals of all runs ------------------------------------------------------------------------
@@ -160,7 +150,6 @@ class Derivations:
     def __init__(self, runs: Sequence[ViewedRun]) -> None:
         self._runs, self._lock = runs, threading.Lock()
         self._definitions: dict[Signal, Definition] = {}
-        self._notes: dict[Signal, list[str]] = {}
 
     def define(self, name: str, definition: Definition) -> list[dict[str, Any]]:
         """Define or replace a derived signal in the run of its first signal; return all signals with new values.
@@ -196,7 +185,7 @@ class Derivations:
                 raise InputError.at(Path("name"), f"{name} is not a derived signal")
             if others := [n for (_, n), definition in self._definitions.items() if signal in definition.of.values()]:
                 raise InputError.at(Path("name"), f"{', '.join(others)} uses {name}; remove {', '.join(others)} first")
-            del self._definitions[signal], self._notes[signal]
+            del self._definitions[signal]
             self._runs[number].rows.remove(name)
 
     def renew(self, numbers: Collection[int]) -> None:
@@ -222,10 +211,9 @@ class Derivations:
                 continue
             changed, definition, (number, name) = {*changed, signal}, self._definitions[signal], signal
             of = {letter: (self._runs[k].rows, other) for letter, (k, other) in definition.of.items()}
-            values, self._notes[signal] = evaluate(definition.formula, of, name)
             rows, same = of.get(definition.formula.strip(), (None, ""))
             unit = definition.unit or (rows.unit(same) if rows is not None else "")
-            self._runs[number].rows.add(name, values, unit)
+            self._runs[number].rows.add(name, evaluate(definition.formula, of), unit)
             found.append(self._about(signal))
         return found
 
@@ -235,5 +223,5 @@ class Derivations:
         of = {letter: list(other) for letter, other in definition.of.items()}
         with showing(*(run.record for run in self._runs)):
             shown = shown_unit(unit)
-        about = {"run": number, "name": name, "formula": definition.formula, "of": of, "unit": shown}
-        return {**about, "stated_unit": definition.unit, "notes": self._notes[signal]}
+        about = {"run": number, "name": name, "formula": definition.formula, "of": of}
+        return {**about, "unit": shown, "stated_unit": definition.unit}

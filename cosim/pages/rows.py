@@ -29,7 +29,7 @@ from cosim.core.messages import printable
 from cosim.files.cache import cache_folder
 from cosim.files.files import scratch_folder
 from cosim.files.folders import content_of
-from cosim.files.results import is_rounded, read_results
+from cosim.files.results import read_results
 
 BLOCK_ROWS = 16  # rows of a block
 MIN_BLOCKS_PER_PIXEL = 4  # blocks per pixel column, so that an edge is wrong by at most a quarter of a column
@@ -83,8 +83,6 @@ class Recording:
         added: Units of computed signals.
         texts: Signals that doubles cannot represent, with all values as text; large integers also have a numeric
             column.
-        rounded: Signals with integers that are drawn as doubles and kept exactly as text.
-        inexact: Signals with integers that are read as doubles and lose their last digits.
         assumed: Assumptions made when the table was read, as sentences.
     """
 
@@ -95,8 +93,6 @@ class Recording:
         texts: Mapping[str, Sequence[Any]] = MappingProxyType({}),
     ) -> None:
         self.units, self.texts, self.added = dict(units), texts, dict[str, str]()
-        self.rounded = [name for name in texts if name in columns and is_rounded(columns[name])]
-        self.inexact: Sequence[str] = ()
         self.assumed: Sequence[str] = ()
         self._columns = {TIME_COLUMN: np.zeros(0), **columns}
         self.rows = self._columns[TIME_COLUMN].size
@@ -190,7 +186,7 @@ class Recording:
         return Picture(self, blocks, rows, middle, order, starts)
 
 
-VIEW_FOLDER, VIEW_VERSION = "view", 7
+VIEW_FOLDER, VIEW_VERSION = "view", 8
 VIEW_ROWS_FILE, VIEW_ABOUT_FILE, VIEW_TEXTS_FILE = "rows", "about.json", "texts.arrow"
 UNUSED_AGE_S = 30 * 86_400.0  # age [s] above which a conversion is removed
 DRAFT = "draft-"  # prefix of an unfinished conversion
@@ -209,7 +205,9 @@ def open_rows(path: Path, **about: Any) -> Recording:
     status = path.stat() if path.is_file() else None
     if status is None or status.st_size <= MAX_MEMORY_BYTES:
         return _read(path, about)
-    place = cache_folder() / VIEW_FOLDER / _key(path, status, about)
+    content = status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns  # a renamed file keeps its conversion
+    types = json.dumps([VIEW_VERSION, path.suffix, content, about], sort_keys=True, default=sorted)
+    place = cache_folder() / VIEW_FOLDER / sha256(types.encode()).hexdigest()
     if content_of(place / VIEW_ABOUT_FILE):
         os.utime(place)
     else:
@@ -219,27 +217,28 @@ def open_rows(path: Path, **about: Any) -> Recording:
                 if not each.name.startswith(DRAFT) and time.time() - each.stat().st_mtime > UNUSED_AGE_S:
                     shutil.rmtree(each)
         with scratch_folder(place.parent, DRAFT) as folder:
-            draft = folder / place.name
+            draft, made = folder / place.name, _read(path, about)
             draft.mkdir()
-            _write(_read(path, about), draft)
+            with (draft / VIEW_ROWS_FILE).open("wb") as stream:
+                for name in (TIME_COLUMN, *made.units):
+                    stream.write(made.column(name).tobytes())
+            columns = [pa.array(values, pa.string()) for values in made.texts.values()]
+            if columns:
+                table = pa.table(columns, [*map(str, range(len(columns)))])
+                feather.write_feather(table, draft / VIEW_TEXTS_FILE, compression="uncompressed")
+            record = {"units": made.units, "texts": [*made.texts], "assumed": made.assumed}
+            (draft / VIEW_ABOUT_FILE).write_text(json.dumps(record), encoding="utf-8")
             shutil.rmtree(place, ignore_errors=True)
             with suppress(OSError):  # Another command was faster.
                 shutil.move(draft, place)
     known: Any = content_of(place / VIEW_ABOUT_FILE)
     names = [TIME_COLUMN, *known["units"]]
-    table: Any = np.memmap(place / VIEW_ROWS_FILE, np.float64, "r").reshape(len(names), -1).view(np.ndarray)
+    numbers: Any = np.memmap(place / VIEW_ROWS_FILE, np.float64, "r").reshape(len(names), -1).view(np.ndarray)
     texts = feather.read_table(place / VIEW_TEXTS_FILE, memory_map=True) if known["texts"] else None
     strings = {name: texts.column(k) for k, name in enumerate(known["texts"])} if texts is not None else {}
-    recording = Recording(dict(zip(names, table, strict=True)), known["units"], strings)
-    recording.inexact, recording.assumed = known["inexact"], known["assumed"]
+    recording = Recording(dict(zip(names, numbers, strict=True)), known["units"], strings)
+    recording.assumed = known["assumed"]
     return recording
-
-
-def _key(path: Path, status: os.stat_result, about: dict[str, Any]) -> str:
-    """Return a key of the content of a file and of its types; a renamed file keeps its key."""
-    content = status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns
-    types = json.dumps([VIEW_VERSION, path.suffix, content, about], sort_keys=True, default=sorted)
-    return sha256(types.encode()).hexdigest()
 
 
 def _read(path: Path, about: dict[str, Any]) -> Recording:
@@ -251,17 +250,4 @@ def _read(path: Path, about: dict[str, Any]) -> Recording:
     units = {printable(name): printable(shown.units.get(name, "")) for name in shown.columns}
     recording = Recording(columns, units, {printable(name): values for name, values in shown.texts().items()})
     recording.assumed = results.notes
-    recording.inexact = [name for name in results.columns if name in results.whole and is_rounded(results[name])]
     return recording
-
-
-def _write(recording: Recording, folder: Path) -> None:
-    with (folder / VIEW_ROWS_FILE).open("wb") as stream:
-        for name in (TIME_COLUMN, *recording.units):
-            stream.write(recording.column(name).tobytes())
-    texts = [pa.array(values, pa.string()) for values in recording.texts.values()]
-    if texts:
-        table = pa.table(texts, [*map(str, range(len(texts)))])
-        feather.write_feather(table, folder / VIEW_TEXTS_FILE, compression="uncompressed")
-    about = {"units": recording.units, "texts": [*recording.texts], "inexact": recording.inexact}
-    (folder / VIEW_ABOUT_FILE).write_text(json.dumps({**about, "assumed": recording.assumed}), encoding="utf-8")

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
@@ -22,8 +20,6 @@ from cosim.files.folders import manifest_in, replay_record, run_name, status_in,
 from cosim.files.kinds import check_given, refuse_folder
 from cosim.files.results import rows_in
 from cosim.files.run_entries import Entry, Selected, entries, select_groups
-from cosim.isolation.rows import LIVE_ROWS_FILE, Progress
-from cosim.master.checkpoint import ROWS_FILE
 from cosim.pages.rows import TIME_COLUMN, Recording, open_rows
 from cosim.simulation.run_signals import RUN_OR_TABLE
 from cosim.sweeps.store import SWEEP_TABLE, read_runs
@@ -31,7 +27,6 @@ from cosim.sweeps.store import SWEEP_TABLE, read_runs
 NO_ROWS = "has no rows to draw{status}; give folders of runs, or tables with time in the first column"
 FILE_LOST = "{label} was removed or replaced; the rows that were read stay"
 MAX_VIEWED = 20  # results listed by name in a message
-MAX_NOTED_SIGNALS = 5  # signals in a note
 FILE_CHECK_INTERVAL_S = 1.0  # [s] between checks of a file
 REREAD_INTERVAL_RATIO = 5.0  # time between readings of a growing file, as a multiple of the reading time
 NO_COLUMNS: Mapping[str, str] = MappingProxyType({})
@@ -45,7 +40,6 @@ class RunPlace:
         name: Name in layouts, the same for later runs of the same series.
         label: Unique name on the page.
         is_named: True if the user named this table, so that its faults are errors.
-        entry: Results in a folder of results; None for other paths.
         columns: Column of the table → name of its signal, or `time`, of columns with another name.
         rows: Rows in memory, for a run of a sweep, because the table of a sweep has no column of time.
         display: Unit → name of its display unit, factor and offset to its values, of these rows.
@@ -55,7 +49,6 @@ class RunPlace:
     label: str
     file: Path
     is_named: bool = True
-    entry: Entry | None = None
     columns: Mapping[str, str] = field(default_factory=dict)
     rows: Recording | None = None
     display: Mapping[str, Any] = field(default_factory=dict)
@@ -82,29 +75,13 @@ class ViewedRun:
         self._state, self._is_fed = file_state(place.file), rows is not None
         self.rows = self._open() if rows is None else rows
 
-    @property
-    def _is_running(self) -> bool:
-        return self.place.file.name == LIVE_ROWS_FILE
-
     def _open(self) -> Recording:
         file, folder, begin = self.place.file, self.place.file.parent, time.monotonic()
-        if self._is_running:
-            self.record = json.loads(file.read_text(encoding="utf-8"))
-            rows = Recording({}, self.record["units"])
-            self._add_new(rows)
-            return rows
         manifest = manifest_in(folder)
         self.record = manifest or replay_record(folder)
         types = {"units": self.record.get("units") or {}, "names": self.place.columns}
         rows = open_rows(file, **types, text=manifest.get("beside", ()), words=manifest.get("texts", ()))
         self.notes = [*warnings_on(folder), *map(Note, rows.assumed)]
-        for names, text in (
-            (rows.rounded, "drawn as the nearest double; the cursor shows all digits"),
-            (rows.inexact, "read as the nearest double"),
-        ):
-            if names:
-                some = ", ".join(names[:MAX_NOTED_SIGNALS])
-                self.notes.append(Note(f"{self.place.label}: integers of {some} above 2^53 are {text}"))
         self._due = time.monotonic() + max(FILE_CHECK_INTERVAL_S, REREAD_INTERVAL_RATIO * (time.monotonic() - begin))
         return rows
 
@@ -116,31 +93,13 @@ class ViewedRun:
         pairs = ((str(c.get("of")), c.get("to")) for c in entries)
         return [*dict.fromkeys((of, to if isinstance(to, str) else "") for of, to in pairs)]
 
-    def _add_new(self, rows: Recording) -> None:
-        """Add new rows of a running simulation; raise OSError if it has ended."""
-        about = json.loads(self.place.file.read_text(encoding="utf-8"))
-        made = int(Progress.from_buffer_copy(Path(about["progress"]).read_bytes()).made[0])
-        if made > rows.rows:
-            table = np.memmap(self.place.file.with_name(ROWS_FILE), np.float64, "r", shape=(made, len(about["units"])))
-            time = about["start"] + about["step"] * np.arange(rows.rows, made)
-            rows.append(np.vstack((time, table[rows.rows :].T)))
-
     def follow(self) -> bool:
         """Read a changed file again; return True if its rows changed.
 
         A file that is gone, or has other signals or fewer rows, belongs to another run; `lost` then has the reason.
         """
-        before, folder = self.rows.rows, self.place.file.parent.parent
         if self._is_fed or self.lost:
             return False
-        if self._is_running and self.place.file.is_file():
-            with suppress(OSError, ValueError):
-                self._add_new(self.rows)
-            return self.rows.rows > before
-        if self._is_running and folder.is_dir():
-            if (rows := rows_in(folder)) is None:
-                return False  # the run has ended, and its results are being written
-            self.place = replace(self.place, file=rows, entry=None)
         state, lost = file_state(self.place.file), FILE_LOST.format(label=self.place.label)
         if state == (0, 0):
             self.lost = lost
@@ -150,7 +109,7 @@ class ViewedRun:
             table = self._open()
         except (InputError, OSError):
             return False  # it is being written
-        if [*table.units] != [*self.rows.units] or table.rows < before:
+        if [*table.units] != [*self.rows.units] or table.rows < self.rows.rows:
             self.lost = lost
             return False
         for name, unit in self.rows.added.items():
@@ -194,9 +153,7 @@ def find_runs(
         try:
             places = []
             for selected in group:
-                of = selected.entry.of if selected.entry is not None else ""
-                series = [e for e in entries(results) if e.of == of] if text.rstrip("/").endswith(of or "/") else []
-                places += _places(selected, series, columns, notes)
+                places += _places(selected, columns, notes)
             if group and not places:  # a pattern leaves out results without rows
                 raise InputError.at(Path(text), NO_ROWS.format(status=""))
             found += places
@@ -207,13 +164,8 @@ def find_runs(
     return _differing(list(unique.values())), [*map(Note, notes)]
 
 
-def _places(
-    selected: Selected, series: Sequence[Entry], columns: Mapping[str, str], notes: list[str]
-) -> list[RunPlace]:
+def _places(selected: Selected, columns: Mapping[str, str], notes: list[str]) -> list[RunPlace]:
     """Return the tables of selected results, and add notes; none for a match of a pattern without rows.
-
-    Args:
-        series: Runs of the name that the user gave, the newest last.
 
     Raises:
         InputError: The user named results without rows.
@@ -225,16 +177,13 @@ def _places(
     if entry is not None and (place := _of_entry(entry, is_named=not selected.by_pattern)) is not None:
         return [place]
     name = run_name(path)
-    if entry is None and (rows := _rows_of(path)) is not None:
+    if entry is None and (rows := rows_in(path)) is not None:
         return [RunPlace(name, name, rows)]
     if selected.by_pattern:
         return []
     swept = read_runs(path)
     time, runs = swept.signals(MAX_VIEWED) if swept is not None else (np.zeros(0), {})
     if swept is None or not runs:
-        if earlier := [place for e in series if (place := _of_entry(e, is_named=True)) is not None]:
-            notes.append(f"{path} has no rows to draw; the newest run that has, {earlier[-1].label}, is shown")
-            return earlier[-1:]
         refuse_folder(path, RUN_OR_TABLE)
         raise InputError.at(path, NO_ROWS.format(status=status_in(path)))
     units, display = swept.record["units"], swept.record.get("display") or {}
@@ -270,32 +219,18 @@ def open_runs(
             if is_full(error):
                 raise
             refused = error
-            if not isinstance(refused, InputError):
-                reason = f"cannot be read: {error.strerror}"  # type: ignore[union-attr]
-                if isinstance(error, FileNotFoundError):
-                    reason = "was removed while it was read; repeat the command with the remaining results"
-                refused = InputError.at(place.file, reason)
+            if not isinstance(refused, InputError):  # it was removed, for example
+                refused = InputError.at(place.file, f"cannot be read: {refused.strerror}; repeat the command")
             (named if place.is_named else faults).extend(refused.faults)
             notes.append(f"{place.label} is left out: {str(refused).splitlines()[0]}")
     refuse(named or (faults if not runs else ()))
     return runs, notes
 
 
-def _rows_of(folder: Path) -> Path | None:
-    """Return the file with a run's rows; for a running simulation, the file with the location of its rows."""
-    if (rows := rows_in(folder)) is not None:
-        return rows
-    for followed in folder.glob(f"*/{LIVE_ROWS_FILE}"):
-        with suppress(OSError, ValueError):  # the run ends meanwhile
-            if Path(json.loads(followed.read_text(encoding="utf-8"))["progress"]).is_file():
-                return followed
-    return None
-
-
 def _of_entry(entry: Entry, *, is_named: bool) -> RunPlace | None:
-    rows = _rows_of(entry.folder)
+    rows = rows_in(entry.folder)
     name = entry.of if entry.is_newest else entry.name
-    return None if rows is None else RunPlace(name, entry.label, rows, is_named, entry)
+    return None if rows is None else RunPlace(name, entry.label, rows, is_named)
 
 
 def _differing(places: Sequence[RunPlace]) -> list[RunPlace]:

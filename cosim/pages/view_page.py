@@ -24,7 +24,7 @@ from cosim.core.text import displayed, showing, shown_unit
 from cosim.files.csv_source import cell_text, write_table
 from cosim.files.files import parse_json
 from cosim.pages.formulas import Definition, Derivations
-from cosim.pages.layouts import Layouts, check_layouts
+from cosim.pages.layouts import Layouts
 from cosim.pages.rows import TIME_COLUMN, Picture
 from cosim.pages.runs import FILE_CHECK_INTERVAL_S, ViewedRun
 from cosim.pages.server import Handler, Json, ServedPage
@@ -211,12 +211,11 @@ class Viewer:
         return Json(self._derivations.define(wanted.name, Definition(wanted.formula, wanted.of, wanted.unit)))
 
     def _save_layout(self, request: Request, content: Any) -> Response:
-        """Save a layout, or return the layouts of a file that the page has opened."""
-        if not isinstance(content, dict) or ("file" not in content and self._layouts is None):
+        """Save or remove a layout; return all layouts."""
+        layout = content.get("layout") if isinstance(content, dict) else ""
+        if not (isinstance(layout, dict | None) and content.get("name")) or self._layouts is None:
             raise _refused("a layout of `cosim view`")
-        if "file" in content or self._layouts is None:
-            return Json(check_layouts(Path(str(content["file"])), content.get("content")))
-        return Json(self._layouts.put(str(content.get("name") or ""), content.get("layout")))
+        return Json(self._layouts.put(str(content["name"]), layout))
 
     def _export(self, request: Request, _: Any) -> Response:
         """Return all rows of curves between two times as CSV, time first, with a row for each time of any run."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import json
 import math
 from collections.abc import Mapping, Sequence
@@ -15,7 +14,7 @@ from cosim.blocks.fmu import FmuBlock
 from cosim.core.errors import Fault, InputError, refuse
 from cosim.core.text import did_you_mean
 from cosim.core.units import split_quantity
-from cosim.files.yaml_file import REMOVED_KEYS, YamlFile, short
+from cosim.files.yaml_file import YamlFile, short
 from cosim.fmi.description import unit_of
 from cosim.scenario.scenario import Scenario, resolve_defaults
 from cosim.scenario.scenario_file import ScenarioFile, keys_of
@@ -73,7 +72,16 @@ class Factors:
         for k, signal in enumerate(file.signals):
             if signal not in system.columns:
                 self._note(("signals", k), f'no signal "{short(signal)}"{did_you_mean(signal, system.columns)}')
-        self._note_overlaps()
+        paths: dict[tuple[str, ...], str] = {}
+        for section, names in (("set", file.set), ("vary", file.vary)):
+            for name in names:
+                component, _, variable = name.partition(".")
+                is_variable = section == "vary" and component in scenario.scenario.components
+                path = ("components", component, "start", variable) if is_variable else tuple(keys_of(name.strip()))
+                if path in paths and name != "seed":  # with `count`, seeds start at the seed in `set`
+                    text = f'{name} and "{paths[path]}" give the same value; remove one of them'
+                    self._note((section, name), text, key=True)
+                paths[path] = name
 
     def _note(self, where: Location, text: str, *, key: bool = False, exit_code: int = 2) -> None:
         self.faults.append(self.yaml.fault(where, text, key=key, exit_code=exit_code))
@@ -108,9 +116,9 @@ class Factors:
         variables = {} if block is None else {v.name: v for v in block.description.modelVariables}
         variable = variables.get(variable_name)
         if block is None or variable is None or not settable(variable) or variable.shape:
-            text = f"{name} takes no number here; vary a path of the scenario, such as components.NAME.…, by values"
-            faults, _ = self._test_variant(f"components.{component}.start.{variable_name}=0")  # why not
-            self._note(("vary", name), faults[0].message if faults else text, key=True)
+            hint = did_you_mean(variable_name, variables)
+            text = f"{name} takes no number{hint}; vary a parameter, a start value or a path of the scenario"
+            self._note(("vary", name), text, key=True)
             return None
         if variable_name in block.connected:
             self._note(("vary", name), "is a connected input; vary its source", key=True)
@@ -131,8 +139,6 @@ class Factors:
         if first not in keys:
             hint = did_you_mean(first, [*keys, *self.scenario.scenario.components])
             text = f'no component and no key of the scenario is "{short(first)}"{hint}'
-            if cure := REMOVED_KEYS.get(first):
-                text = f'"{short(first)}" is no longer supported. {cure} A sweep over designs varies the FMUs.'
             self._note(("vary", name), text, key=True)
             return None
         if first in FIXED_KEYS:
@@ -238,26 +244,3 @@ class Factors:
                     self._note((*where, way, k) if way == "values" else where, text, exit_code=fault.exit_code)
                 known = {*self.scenario.warnings, *self.system.warnings, *self.warnings}
                 self.warnings += [text for text in warnings if text not in known and not is_variable]
-
-    def _note_overlaps(self) -> None:
-        """Record a fault for each entry of `vary` and `set` that another entry overrides.
-
-        `vary` overrides `set`. A path includes all paths below it. An entry of `set` may contain an entry of `vary`.
-        """
-        places: list[tuple[Location, tuple[str, ...]]] = []  # entry, and the path that it sets
-        for section, names in (("set", self.file.set), ("vary", self.file.vary)):
-            for name in names:
-                component, _, variable = name.partition(".")
-                if section == "vary" and component in self.scenario.scenario.components:
-                    place: tuple[str, ...] = ("components", component, "start", variable)
-                else:
-                    place = tuple(str(int(k)) if k.isascii() and k.isdigit() else k for k in keys_of(name.strip()))
-                places.append(((section, name), place))
-        for (first, one), (second, two) in itertools.combinations(places, 2):
-            counted = second == ("vary", "seed") and self.file.vary["seed"].count is not None
-            both_vary = first[0] == second[0] == "vary"
-            # with `count`, seeds start at the seed in `set`
-            if (two == one[: len(two)] and not counted) or (both_vary and one == two[: len(one)]):
-                line = self.yaml.place(second, key=True)[0]
-                text = f'{first[1]} and "{second[1]}" of line {line} give the same value; remove one of them'
-                self._note(first, text, key=True)

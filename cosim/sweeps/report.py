@@ -55,7 +55,21 @@ def page(swept: Swept) -> str:
     note = "" if ways.isdisjoint({"values", "grid"}) else "Every combination of listed values is run."
     if not ways.isdisjoint(DISTRIBUTIONS):
         note = f"Distributions are sampled together ({study.file.sampling}). {note}"
+    shares, quantiles = list[Mapping[str, Any]](), list[Sequence[str]]()
+    for c in criteria:
+        share, (unit, factor), good = c["met"] / max(1, c["of"]), display(c["unit"]), values[c["name"]]
+        good = good[np.isfinite(good)]
+        row = {"name": c["name"], "met": f"{c['met']} of {c['of']}", "share": percent(share) if c["of"] else "–"}
+        row |= {"max": append_unit(plain(c["max"] * factor, None), unit), "bar": _bar(share, *c["ci95"])}
+        shares.append({**row, "interval": " … ".join(map(percent, c["ci95"]))})
+        at = np.quantile(good, QUANTILES) if good.size else np.full(len(QUANTILES), np.nan)
+        quantiles.append((c["name"], *(_figure(v, c["unit"]) for v in at.tolist()), str(c["of"] - good.size or "–")))
     scatters, more_scatters = _scatters(swept, table, {s.outcome: s.ranked for s in indices}, charts)
+    bands = []
+    for name in names if completed else ():
+        q = np.quantile(signal_of(table, name, MAX_BAND_RUNS), QUANTILES, axis=0)
+        lines = ("median", q[2], "true"), ("25 %", q[1], "reference"), ("75 %", q[3], "reference")
+        bands.append(signal_panel(name, record["units"].get(name, ""), lines, ("5 … 95 % of the runs", q[0], q[4])))
     worst = _worst(swept, table) if criteria else []
     met_all = bool(criteria) and record["met_all"] == record["runs"]
     context = {
@@ -65,8 +79,8 @@ def page(swept: Swept) -> str:
         "badges": [counted(record["runs"], "run"), (f"{failed} aborted", "bad") if failed else "all completed"],
         "warnings": warnings,
         "tone": "plain" if not criteria else "good" if met_all else "bad",
-        "criteria": [_share_row(c) for c in criteria],
-        "values": [_quantile_row(c, values[c["name"]]) for c in criteria],
+        "criteria": shares,
+        "values": quantiles,
         "worst": worst,
         "hardest_name": hardest(record)["name"] if criteria else "",
         "histograms": histograms(criteria, values, charts),
@@ -74,7 +88,7 @@ def page(swept: Swept) -> str:
         "scatters": scatters,
         "more_scatters": more_scatters,
         "factors": [_factor(swept, factor) for factor in study.factors],
-        "plots": _bands({name: signal_of(table, name, MAX_BAND_RUNS) for name in names}, record, charts),
+        "plots": charts.over(np.array(record["times"], float)).plots(bands),
         "always_met": [s.outcome for s in indices if s.outcome in values.keys() - missed],
         "unranked": sorted(missed - {s.outcome for s in first}) if first else [],
         "sensitivities": [_indices(s) for s in first or others],
@@ -97,24 +111,6 @@ def _figure(value: float, unit: str) -> str:
     """Return a value in its display unit."""
     shown, factor = display(unit)
     return append_unit(plain(value * factor, 3), shown)
-
-
-def _share_row(c: Criterion) -> Mapping[str, Any]:
-    share, (unit, factor) = c["met"] / c["of"] if c["of"] else 0.0, display(c["unit"])
-    return {
-        "name": c["name"],
-        "max": append_unit(plain(c["max"] * factor, None), unit),
-        "met": f"{c['met']} of {c['of']}",
-        "share": percent(share) if c["of"] else "–",
-        "interval": " … ".join(map(percent, c["ci95"])),
-        "bar": _bar(share, *c["ci95"]),
-    }
-
-
-def _quantile_row(c: Criterion, values: Array) -> Sequence[str]:
-    good = values[np.isfinite(values)]
-    quantiles = np.quantile(good, QUANTILES) if good.size else np.full(len(QUANTILES), np.nan)
-    return c["name"], *(_figure(float(v), c["unit"]) for v in quantiles), str(c["of"] - good.size or "–")
 
 
 def _worst(swept: Swept, table: Any) -> list[Mapping[str, Any]]:
@@ -225,18 +221,6 @@ def _factor(swept: Swept, factor: Factor) -> Sequence[str]:
     listed = some([*map(str, entries if isinstance(entries, list | tuple) else [entries])], 8)
     different = counted(len(set(map(str, values))), "value")
     return factor.name, written(factor.unit) or "–", varied.way.replace("_", " "), listed, different
-
-
-def _bands(signals: Mapping[str, Array], record: Mapping[str, Any], charts: Charts) -> list[Plot]:
-    """Draw the quantiles of the complete runs over time, from signals of shape (runs, times)."""
-    panels, times = [], np.array(record["times"], float)
-    for name, values in signals.items():
-        if values.size and values.shape[1] == times.size:  # false if no run is complete
-            q = np.quantile(values, QUANTILES, axis=0)
-            lines = ("median", q[2], "true"), ("25 %", q[1], "reference"), ("75 %", q[3], "reference")
-            band = ("5 … 95 % of the runs", q[0], q[4])
-            panels.append(signal_panel(name, record["units"].get(name, ""), lines, band))
-    return charts.over(times).plots(panels)
 
 
 def _indices(s: Sensitivity) -> Mapping[str, Any]:

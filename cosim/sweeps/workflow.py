@@ -37,7 +37,7 @@ from cosim.sweeps.pool import MakeRuns, dask_cluster, make_runs_here
 from cosim.sweeps.reading import Sweep, Swept, read_sweep
 from cosim.sweeps.runs import RunResult, assemble, make_run, sampled_rows
 from cosim.sweeps.sampling import share_interval
-from cosim.sweeps.store import DATABASE, SWEEP_RECORD, SWEEP_TABLE, Database, read_table, write_table
+from cosim.sweeps.store import DATABASE, SWEEP_RECORD, SWEEP_TABLE, Database, write_table
 
 PARTS_FOLDER = "parts"  # folder of the parts made by --part, as parts/17-of-200
 MAX_LISTED_FAILURES = 20
@@ -72,7 +72,6 @@ def sweep(
     dask: str | None = None,
     resume: bool = False,
     part: str | None = None,
-    join: bool = False,
     report: bool = True,
     force: bool = False,
     in_process: bool = False,
@@ -86,9 +85,8 @@ def sweep(
         out: Folder for sweep.parquet, sweep.json and report.html; None means a new number in results/NAME.
         workers: Number of worker processes (default: one per core).
         dask: Address of a Dask scheduler; replaces that of the file.
-        resume: Continue the sweep that was stopped in `out`, by default the newest in results/NAME.
+        resume: Continue the sweep in `out`, which may consist of parts; by default the newest in results/NAME.
         part: K/N makes every N-th run from the K-th, and nothing but these runs; K is 1 … N.
-        join: Combine the parts in the folder into the table and the report of the sweep.
         report: Write report.html.
         force: Start again, even if the folder has files; those of an earlier sweep are replaced.
         in_process: Load FMUs into this process, for a debugger.
@@ -105,9 +103,9 @@ def sweep(
         SweepFailed: No run was completed.
     """
     study = read_sweep(Path(path), loads=True)
-    if resume + (part is not None) + join + force > 1:
-        raise InputError.at(Path("cosim sweep"), "give only one of --resume, --part, --join and --force")
-    if (part is not None or join) and out is None:
+    if resume + (part is not None) + force > 1:
+        raise InputError.at(Path("cosim sweep"), "give only one of --resume, --part and --force")
+    if part is not None and out is None:
         raise InputError.at(Path("--out"), "name the folder of all parts, such as --out results/parts")
     folder = None if out is None else named_path(out)
     if resume:
@@ -121,7 +119,7 @@ def sweep(
         runs, home = runs[k - 1 :: of], folder / PARTS_FOLDER / f"{k}-of-{of}"
     inputs = [study.yaml.path, study.job.scenario, *study.files]
     check_installed("SALib", "cosim sweep")  # imported for the report only
-    goes_on = resume or join or part is not None
+    goes_on = resume or part is not None
     with ExitStack() as stack:
         home = stack.enter_context(new_run(home, study.name, "cosim sweep", force=force or goes_on))
         check_writable(home, (SWEEP_TABLE, SWEEP_RECORD, "report.html", DATABASE), inputs)
@@ -136,31 +134,25 @@ def sweep(
         if record is None:
             address = study.file.dask if dask is None else dask
             make_runs: MakeRuns = partial(make_runs_here, study.job, workers)
-            if in_process or join:
+            if in_process:
                 assemble.cache_clear()  # Files may have changed since an earlier call.
                 make_runs = partial(map, lambda request: (make_run(study.job, request),))
             elif address is not None:
                 place = partial(study.yaml.fault, ("dask",)) if dask is None else partial(Fault, Path("--dask"), 0, 0)
                 make_runs = stack.enter_context(dask_cluster(study, address, place))
-            if part:
-                stored = [home / DATABASE]
-            elif not join:
-                stored = [home / DATABASE, *(path for path in stored if path.parent != home)]
-            databases = [Database(path, study.key) for path in stored]
+            others = [] if part else [path for path in stored if path.parent != home]
+            databases = [Database(path, study.key) for path in (home / DATABASE, *others)]
             for database in databases:
                 stack.callback(database.close)
             done = {number for database in databases for number in database.numbers()}
             missing = [run for run in runs if run not in done]
-            if join and missing:
-                text = f"{len(missing)} of {counted(study.count, 'run')} are missing, the first is run {missing[0]}"
-                raise InputError.at(folder, f"{text}; repeat the parts that did not end, or run the rest with --resume")
             limits = _limits(study)
             for observer in observers:
                 observer.begin(study.name, len(runs), limits, _all_runs(databases))
             begin = time.perf_counter()
             try:
                 requests = (study.request_run(run) for run in missing)
-                for results in make_runs(requests):
+                for results in make_runs(requests) if missing else ():
                     if not results:
                         databases[0].store()
                         continue
@@ -214,11 +206,7 @@ def _read_completed(folder: Path, key: str) -> dict[str, Any] | None:
     """Return the record of the same sweep if it is complete in this folder; raise InputError for a different sweep."""
     if not (folder / SWEEP_TABLE).is_file() or not (record := content_of(folder / SWEEP_RECORD)):
         return None
-    try:
-        _, about = read_table(folder / SWEEP_TABLE)
-    except (OSError, ValueError):
-        return None
-    if about.get("key") != key:
+    if record.get("key") != key:
         cure = "give another folder as --out, or use --force to start again"
         raise InputError.at(folder / SWEEP_TABLE, f"is of another sweep, or of other FMUs; {cure}")
     return record

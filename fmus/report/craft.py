@@ -208,8 +208,6 @@ def response_rows(craft: Craft) -> list[dict[str, str]]:
 # -- picture ----------------------------------------------------------------------------------
 
 BASE_CRAFT = Hovercraft()
-# start value, default [m]
-SIZES = {"arm": ("arm", BASE_CRAFT.arm), "radius": ("propeller_radius", BASE_CRAFT.propeller_radius)}
 PATH_MARGIN_M = 0.42  # m around the path: half a craft and a margin
 MIN_RATIO, MAX_RATIO = 1.25, 1.9  # width / height of the picture
 MIN_SIZE = 0.06  # of the picture's width; a smaller craft is magnified
@@ -256,8 +254,8 @@ def _lay_out(craft: Craft, way: Array, heading: Array) -> Track | None:
 def make_view(crafts: Sequence[Craft], rows: Rows, charts: Charts) -> tuple[dict[str, Any], list[dict[str, Any]]]:
     """Return the picture of crafts with a drawable pose: box [mm] and sizes for the template, and data of the script.
 
-    Data of a craft are poses of true, estimated and reference track, tilts [°], horizontal forces [N] (or the sine of
-    the tilt without recorded thrust) with their scale; the charts have every row of the tilts.
+    Data of a craft are poses of true, estimated and reference track, tilts [°], and horizontal forces [N] with their
+    scale; the charts have every row of the tilts.
     """
     bodies, tracks = list[dict[str, Any]](), list[Track]()
     for craft in crafts:
@@ -283,17 +281,13 @@ def make_view(crafts: Sequence[Craft], rows: Rows, charts: Charts) -> tuple[dict
 
 
 def _body(craft: Craft, rows: Rows, charts: Charts) -> dict[str, Any]:
-    body: dict[str, Any] = {"estimate": None, "reference": None, "unit": "N"}
-    for key, (name, usual) in SIZES.items():
-        size = number(craft.run.start(craft.name).get(name), usual)
-        body[key] = round(1000 * (size if 0 < size < 100 else usual))
+    body: dict[str, Any] = {"estimate": None, "reference": None}
+    body |= {"arm": round(1000 * BASE_CRAFT.arm), "radius": round(1000 * BASE_CRAFT.propeller_radius)}
     forces = []
     for side in ("right", "left"):
-        tilt, thrust = craft.signal(f"tilt_{side}_actual"), craft.signal(f"thrust_{side}")
-        if not is_drawn(thrust):
-            thrust, body["unit"] = np.ones(tilt.size), ""
-        forces.append(np.sin(tilt) * thrust)
-        if is_drawn(tilt):
+        tilt = craft.signal(f"tilt_{side}_actual")
+        forces.append(np.sin(tilt) * craft.signal(f"thrust_{side}"))
+        if is_drawn(forces[-1]):
             body[f"force_{side}"] = round_values(forces[-1][rows], 4)
             body[f"tilt_{side}"] = round_values(tilt[rows] * DEGREES, 2)
             body[f"tilt_{side}_key"] = charts.column(tilt * DEGREES)

@@ -8,7 +8,7 @@ and thrust: §4.5.4, App. D.3.4. Test 5, moment of the weight: §4.5.5, eq 4.10,
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -140,7 +140,10 @@ def thrust_line(m: Measurement) -> Result:
             f"used, instead of up to {top:.2f} %. A cell with a larger range would cover the rest."
         )
     if degree > 1:
-        _extend_to_tangents(result, degree, errors, np.concatenate(delayed), np.concatenate(thrust))
+        result.warnings.append(
+            f"the thrust is nonlinear: the cross-validation error is {errors[degree]:.3g} gf with degree {degree}, and "
+            f"{errors[1]:.3g} gf with a line; choose a `window` around the operating duty, and check the calibration"
+        )
     grid = np.linspace(duty.min(), duty.max(), 60)
     basis = np.stack((np.ones_like(grid), grid))
     a, b = (e.value for e in result.estimates)
@@ -156,27 +159,6 @@ def thrust_line(m: Measurement) -> Result:
     band, title = ("95 % of the line", grid, fitted - half, fitted + half), "Thrust over duty: readings and lines"
     result.figures = [Figure(title, "duty [%]", "gf", drawn, band, counterparts=("4.10", "4.11"))]
     return result
-
-
-def _extend_to_tangents(result: Result, degree: int, errors: Mapping[int, float], duty: Array, thrust: Array) -> None:
-    """Widen the intervals to include all tangents of a curve of `degree`, and warn that the thrust is nonlinear."""
-    curve = np.poly1d(np.polyfit(duty - MIDDLE_DUTY, thrust, degree))
-    grid = np.linspace(duty.min(), duty.max(), 101)
-    slopes = curve.deriv()(grid - MIDDLE_DUTY)
-    offsets = curve(grid - MIDDLE_DUTY) - slopes * grid
-    reason = (
-        f"the thrust is nonlinear: the cross-validation error is {errors[degree]:.3g} gf with degree "
-        f"{degree}, and with a line "
-    )
-    reason += f"{errors[1]:.3g} gf"
-    for k, (e, span) in enumerate(zip(result.estimates, (offsets, slopes), strict=True)):
-        low, high = min(e.low, float(span.min())), max(e.high, float(span.max()))
-        origin = f"{e.origin}; {reason}, so the interval includes all tangents"
-        result.estimates[k] = e._replace(low=low, high=high, origin=origin)
-    result.warnings.append(
-        f"{reason}. The intervals of thrust_offset and thrust_slope include all tangents from {duty.min():.2f} to "
-        f"{duty.max():.2f} %; choose a `window` around the operating duty, and check the cell's calibration"
-    )
 
 
 def _thrust(m: Measurement, r: Recording) -> Array:
@@ -281,11 +263,8 @@ def ground_effect_exponent(m: Measurement) -> Result:
     for chosen in others:
         run = next(iter(chosen.values()))[0]
         duty = float(np.median(run.duty[run.rows(m.test.window)]))
-        if missing := sorted(main.keys() - chosen.keys()):
-            result.warnings.append(
-                f"the runs at a duty of {duty:.4g} % are not used, because there is none at the heights "
-                f"{', '.join(f'{height:g}' for height in missing)}; correct the duty if it is wrong"
-            )
+        if main.keys() - chosen.keys():
+            result.warnings.append(f"the runs at a duty of {duty:.4g} % are not used, because heights are missing")
             continue
         f = forces(lambda r: m.force(r, "z"), chosen)
         off = f[:-1].mean(axis=1) / f[-1].mean() - relative(estimate.value)

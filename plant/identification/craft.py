@@ -15,9 +15,8 @@ simulated with the recorded commands alone; both results are reported.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
 from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -46,7 +45,7 @@ MIN_REST_ROWS = 50  # number of rows below which the 95 % interval of a variance
 DRIFT_RATIO = 1.1  # ratio to the variance about a line, above which the variance about the mean contains a drift
 # difference between the halves of a log at rest, in standard deviations, above which it was not at rest
 MOVING_RATIO = 5.0
-SHARES = np.geomspace(0.01, 1.0, 6).tolist()  # fractions of the way to a bound, tried to bracket the distance
+SHARES = (0.0, *np.geomspace(0.01, 1.0, 6).tolist())  # fractions of the way to a bound, tried to bracket the distance
 WIDE_RANGE = 1e3  # range of an unbounded parameter as a multiple of the model's own value
 IMU = ("psi", "psi_dot", "ax")
 
@@ -92,7 +91,11 @@ class CraftUnderTest:
     runs: Sequence[Log]
 
     def results(self) -> list[Result]:
-        """Return the variance of every output measured at rest, and the parameter that explains the distance."""
+        """Return the variance of every output measured at rest, and the parameter that explains the distance.
+
+        Raises:
+            InputError: Logs are too short or not at rest, or no value of the parameter explains the distance.
+        """
         noise = [] if self.file.rest is None else [_noise(self.rest, self.loaded.model, self.file.rest.window)]
         return noise if self.file.distance is None else [*noise, _distance(self.runs, self.loaded, self.file.distance)]
 
@@ -128,50 +131,26 @@ def read_craft(path: Path) -> CraftUnderTest | None:
                 logs[part].append(read_log(path.parent / name, inputs, model.outputs))
             except InputError as error:
                 faults += error.faults
-    if not faults and content.rest is not None:
-        faults += _rest_faults(logs["rest"], content.rest.window)
-    text = "all inputs are constant, so it has no motion to match; remove it"
-    still = [run for run in logs["distance"] if all(np.ptp(v) == 0.0 for v in run.inputs.values())]
-    refuse(faults + [Fault(run.path, 0, 0, text) for run in still])
+    refuse(faults)
     return CraftUnderTest(content, loaded, logs["rest"], logs["distance"])
 
 
 # -- noise at rest --------------------------------------------------------------------------
 
 
-def _rest_faults(logs: Sequence[Log], window: Window | None) -> Iterator[Fault]:
-    """Yield a fault for each log that is too short or not at rest."""
-    for log in logs:
-        for name in log.outputs:
-            ((_, values),) = _readings([log], name, window)
-            if values.size < MIN_REST_ROWS:
-                text = f"{values.size} rows of {name} at rest; at least {MIN_REST_ROWS} are needed"
-                yield Fault(log.path, 0, 0, f"{text}; log longer (the thesis took 20 s)")
-                continue
-            first, last = np.array_split(values, 2)
-            change, noise = float(last.mean() - first.mean()), float(np.std(np.diff(values))) / np.sqrt(2.0)
-            cure = "choose a window, or remove the log"
-            if np.ptp(values) == 0.0:
-                yield Fault(log.path, 0, 0, f"{name} is {values[0]:g} in every row: a dead channel; {cure}")
-            elif abs(change) > MOVING_RATIO * noise > 0.0:
-                text = f"{name} changes by {change:.3g} from the first half to the second: not at rest"
-                yield Fault(log.path, 0, 0, f"{text}; {cure}")
-
-
-def _readings(logs: Sequence[Log], name: str, window: Window | None) -> Iterator[tuple[Array, Array]]:
-    """Yield times and finite readings of an output in the window of each log that has it."""
-    low, high = window or (-np.inf, np.inf)
-    for log in logs:
-        if name in log.outputs:
-            inside = (log.time >= low - 1e-9) & (log.time <= high + 1e-9) & np.isfinite(log.outputs[name])
-            yield log.time[inside], log.outputs[name][inside]
-
-
 def _noise(logs: Sequence[Log], model: Model, window: Window | None) -> Result:
     """Return the pooled variance S² (eq 5.44) of each output, and its variance about a line with a 95 % χ² interval."""
-    result = Result("rest", [])
+    result, faults, (low, high) = Result("rest", []), list[Fault](), window or (-np.inf, np.inf)
     for q in model.outputs:
-        if not (parts := list(_readings(logs, q.name, window))):
+        parts = list[tuple[Array, Array]]()
+        for log in logs:
+            if q.name in log.outputs:
+                t, v = log.time, log.outputs[q.name]
+                inside = (t >= low - 1e-9) & (t <= high + 1e-9) & np.isfinite(v)
+                parts.append((t[inside], v[inside]))
+                if fault := _motion(q.name, v[inside]):
+                    faults.append(Fault(log.path, 0, 0, fault))
+        if not parts or faults:
             continue
         rows = sum(v.size for _, v in parts)
         about_mean = sum(float(np.sum((v - v.mean()) ** 2)) for _, v in parts) / (rows - len(parts))
@@ -181,15 +160,26 @@ def _noise(logs: Sequence[Log], model: Model, window: Window | None) -> Result:
         # correlated rows count as fewer: for squares, 1 + 2·Σρ² (Bartlett)
         correlations = (sum(float(r[lag:] @ r[:-lag]) for r in rests) / max(squares, 1e-300) for lag in range(1, 6))
         free = max(2.0, freedom / (1.0 + 2.0 * sum(rho**2 for rho in correlations)))
-        low, high = (free * about_line / float(stats.chi2.ppf(p, free)) for p in (0.975, 0.025))
+        least, most = (free * about_line / float(stats.chi2.ppf(p, free)) for p in (0.975, 0.025))
         error, origin = about_line * float(np.sqrt(2.0 / free)), f"variance of {rows} rows at rest (5.44)"
-        values = (about_mean, about_line, low, high, error, 0.0, len(parts), origin)
+        values = (about_mean, about_line, least, most, error, 0.0, len(parts), origin)
         result.estimates.append(Estimate(q.name, square_unit(q.unit) or "1", *values))
         if about_mean > DRIFT_RATIO * about_line:
             ratio = f"its variance about the mean is {about_mean / about_line:.3g} times that about a straight line"
             result.warnings.append(f"{q.name} drifts: {ratio}")
         result.figures.append(Figure(f"{q.name} at rest", "time [s]", q.unit, [("measured", *parts[0], "true")]))
+    refuse(faults)
     return result
+
+
+def _motion(name: str, values: Array) -> str:
+    """Return why readings are too few or not those of a craft at rest; "" if they are."""
+    if values.size < MIN_REST_ROWS:
+        return f"{values.size} rows of {name} at rest; log at least {MIN_REST_ROWS} (the thesis took 20 s)"
+    first, last = np.array_split(values, 2)
+    change, noise = float(last.mean() - first.mean()), float(np.std(np.diff(values))) / np.sqrt(2.0)
+    text = f"{name} changes by {change:.3g} from the first half to the second: not at rest"
+    return f"{text}; choose a window, or remove the log" if abs(change) > MOVING_RATIO * noise > 0.0 else ""
 
 
 # -- distance covered -----------------------------------------------------------------------
@@ -209,15 +199,12 @@ def _distance(runs: Sequence[Log], loaded: LoadedModel, asked: DistanceFile) -> 
         def by_model(value: float, run: Log = run) -> float:
             return float(_path(run, model.with_values({parameter: value}), output)[-1])
 
-        observer = _observer_distance(run, model, parameter, output)
-        for distance_of, matches in ((by_model, values), (observer, observed)):
-            try:
-                matches += [] if distance_of is None else [_match(distance_of, length, declared.bounds, near)]
-            except ValueError as error:
-                matches.append(np.nan)
-                if distance_of is by_model:
-                    text = f"no value of {parameter} makes the model cover the distance {length:g}: {error}"
-                    faults.append(Fault(run.path, 0, 0, text))
+        values.append(_match(by_model, length, declared.bounds, near))
+        if np.isnan(values[-1]):
+            text = f"no value of {parameter} makes the model cover the distance {length:g}"
+            faults.append(Fault(run.path, 0, 0, f"{text}; check the distance, and that the inputs move the craft"))
+        if observer := _observer_distance(run, model, parameter, output):
+            observed.append(_match(observer, length, declared.bounds, near))
     refuse(faults)
     thesis = float(np.mean(observed)) if observed else np.nan
     numbers = [(parameter, declared.unit, thesis, np.nan)]
@@ -229,34 +216,25 @@ def _distance(runs: Sequence[Log], loaded: LoadedModel, asked: DistanceFile) -> 
         path = (f"model, {parameter} = {value:.3g}", run.time, _path(run, fitted, output), "true")
         end = ("covered", run.time[-1:], np.array([length]), "dots")
         result.figures.append(Figure(f"{run.path.name}: {output}", "time [s]", unit, [path, end]))
-    if observed and np.isnan(thesis):
-        result.warnings.append(
-            f"for at least one run, no value of {parameter} makes the observer of App. F cover the distance"
-        )
     result.details = {"each": values, "each_by_observer": observed}
     return result
 
 
 def _match(distance_of: Callable[[float], float], length: float, bounds: tuple[float, float], near: float) -> float:
-    """Return the parameter value, nearest to `near`, with which the distance is `length`.
+    """Return the parameter value nearest to `near` with which the distance is `length`; NaN without one."""
 
-    Raises:
-        ValueError: No value within the bounds gives the distance.
-    """
-
-    @cache
     def gap(value: float) -> float:
         return distance_of(value) - length
 
     wide = WIDE_RANGE * (abs(near) or 1.0)
     low, high = (b if np.isfinite(b) else near + sign * wide for b, sign in zip(bounds, (-1, 1), strict=True))
-    for shares in pairwise((0.0, *SHARES)):
+    for shares in pairwise(SHARES):
         for end in (high, low):
             bracket = sorted(near + share * (end - near) for share in shares)
             pair = [*map(gap, bracket)]
             if np.isfinite(pair).all() and pair[0] * pair[1] <= 0.0:
                 return float(optimize.brentq(gap, *bracket, xtol=1e-9, rtol=1e-9))
-    raise ValueError(f"none is between {low:g} and {high:g}; check the distance and the signs of the inputs")
+    return float("nan")
 
 
 def _path(run: Log, model: Model, output: str) -> Array:

@@ -207,7 +207,6 @@ def read_recording(path: Path) -> Recording:
 # -- load cells ---------------------------------------------------------------------------
 
 RAIL_STEPS = 1.5  # a reading within this many converter steps of the end of the range is saturated
-RAIL_SLACK = 0.01  # share of the range that a voltmeter may exceed
 MIN_CURVE_POINTS = 3  # points of a curve
 RAIL_ERRORS = 3.0  # distance of a point from the rail in standard errors, so that chance selects no points
 
@@ -294,7 +293,7 @@ def calibrate(protocol: Protocol, hung: Mapping[str, Sequence[Recording]]) -> di
     Raises:
         InputError: The unsaturated points of a cell are too few, or the voltage is not monotonic in the load.
     """
-    cells, faults, limit = {}, list[Fault](), protocol.bench.converter_range
+    cells, faults = {}, list[Fault]()
     for channel in CELL_UNITS:
         cell, unit, text = protocol.file.cells[channel], protocol.load_in_si(channel), ""
         points = cell.points
@@ -310,11 +309,11 @@ def calibrate(protocol: Protocol, hung: Mapping[str, Sequence[Recording]]) -> di
         f, v = loads[~rail][order], volts[~rail][order]
         steps = np.diff(f)
         turns = (np.diff(v) <= 0) | (steps * (np.median(steps) if steps.size else 0.0) <= 0)
-        if (beyond := (volts < -RAIL_SLACK * limit) | (volts > (1.0 + RAIL_SLACK) * limit)).any():
-            text = f"a point has {volts[beyond][0]:g} V, outside 0 to {limit:g} V; give volts, or `converter_range`"
-        elif f.size < MIN_CURVE_POINTS:
-            inside = f"{f.size} of {loads.size} points are further from the ends of the range than their error"
-            text = f"{inside}; at least {MIN_CURVE_POINTS} are needed; measure more points inside the range"
+        if f.size < MIN_CURVE_POINTS:
+            inside = (
+                f"{f.size} of {loads.size} points are inside 0 to {protocol.bench.converter_range:g} V by their error"
+            )
+            text = f"{inside}; {MIN_CURVE_POINTS} are needed; measure more points, give volts, or `converter_range`"
         elif turns.any():
             low, high = v[np.argmax(turns)], v[np.argmax(turns) + 1]
             text = f"between {low:.4g} V and {high:.4g} V the load does not increase monotonically; measure again"

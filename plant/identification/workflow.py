@@ -40,8 +40,6 @@ from plant.identification.report import page
 from plant.powertrain import ground_effect
 
 IDENTIFY_RECORD, REPORT = "identify.json", "report.html"
-# of a power-train
-IDENTIFIED_PARAMETERS = {"thrust_offset", "thrust_slope", "ground_effect_exponent", "lag", "assembly_arm"}
 # in order of dependence; a step test takes precedence for the lag
 ANALYSES: Mapping[str, Callable[[Measurement], Result]] = {
     "step": after_step,
@@ -58,10 +56,10 @@ Recordings = Mapping[str, Sequence[Recording]]
 
 @dataclass(frozen=True)
 class Outcome:
-    """Results of an identification; `model_file` is the name of the model file with the identified numbers."""
+    """Results of an identification; `model_file` has the model with the identified numbers."""
 
     results: Sequence[Result]
-    model_file: str
+    model_file: Path
 
     @property
     def estimates(self) -> dict[str, Estimate]:
@@ -84,14 +82,15 @@ class Outcome:
             lines.append(f"{key} = {value} (95 % {e.low:.5g} … {e.high:.5g}; by the thesis' method {thesis}{truth})")
         return lines
 
-    def closing(self, out: Path) -> str:
+    @property
+    def closing(self) -> str:
         """Return a sentence with the model file and the command that builds its FMU."""
-        return f"model: {out / self.model_file}; build it with: cosim build --model {shell_path(out / self.model_file)}"
+        return f"model: {self.model_file}; build it with: cosim build --model {shell_path(self.model_file)}"
 
 
 def identify(
     path: FilePath,
-    out: FilePath,
+    out: FilePath | None = None,
     progress: Progress | None = None,
     *,
     report: bool = True,
@@ -102,7 +101,8 @@ def identify(
 
     Args:
         path: Protocol: tests on a bench or recordings of them, or logs of a craft (`rest`, `distance`).
-        out: Folder for identify.json, report.html, and powertrain.yaml or model.yaml.
+        out: Folder for identify.json, report.html, and powertrain.yaml or model.yaml; None means a new number in
+            results/NAME.
         progress: Function of (stage, completed share).
         report: Write report.html.
         seed: Seed for the noise of a simulated bench; None takes that of the protocol.
@@ -114,26 +114,25 @@ def identify(
     Raises:
         InputError: The protocol or its recordings have faults; the error names all of them.
     """
-    path = Path(path)
-    with new_run(out, "", "cosim identify", force=force) as place:
-        craft, calibrated, record = read_craft(path), list[Any](), dict[str, Any]()
+    path, calibrated = Path(path), list[Any]()
+    if (craft := read_craft(path)) is not None:
+        read = [path, *(log.path for log in (*craft.rest, *craft.runs))]
+        name, file = craft.file.name, "model.yaml"
+    else:
+        protocol, model, measured = prepare(path)
+        read = [path, *(r.path for recordings in measured.values() for r in recordings if r.path)]
+        name, file = protocol.file.name, "powertrain.yaml"
+    with new_run(out, name, "cosim identify", force=force) as place:
+        check_writable(place, (file, IDENTIFY_RECORD, REPORT), read)
         if craft is not None:
-            read = [path, *(log.path for log in (*craft.rest, *craft.runs))]
-            name, model_file = craft.file.name, "model.yaml"
-        else:
-            protocol, model, measured = prepare(path)
-            read = [path, *(r.path for recordings in measured.values() for r in recordings if r.path)]
-            name, model_file = protocol.file.name, "powertrain.yaml"
-        check_writable(place, (model_file, IDENTIFY_RECORD, REPORT), read)
-        if craft is not None:
-            outcome, record = Outcome(craft.results(), model_file), {"name": name}
+            outcome, record = Outcome(craft.results(), place / file), dict[str, Any](name=name)
             recorded = counted(len(read) - 1, "log")
             identified = {e.name: e for r in outcome.results if r.test == "distance" for e in r.estimates}
             values = {**craft.loaded.parameters, **{n: e.value for n, e in identified.items()}}
             text = _model_text(craft.loaded.source, values, craft.loaded.sensors, identified, "runs")
         else:
             recordings, cells = _recorded(protocol, measured, protocol.file.seed if seed is None else seed, progress)
-            outcome = Outcome(analyse(protocol, cells, recordings), model_file)
+            outcome = Outcome(analyse(protocol, cells, recordings), place / file)
             refuse(result_faults(protocol, outcome.results))
             text = _powertrain(protocol, outcome, model)
             recorded = counted(sum(map(len, recordings.values())), "recording")
@@ -148,7 +147,7 @@ def identify(
             "tests": {r.test: {**r.details, "notes": r.notes, "warnings": r.warnings} for r in outcome.results},
         }
         remove_earlier(place, read=read)
-        write_text(place / model_file, text)
+        write_text(outcome.model_file, text)
         plain = json.loads(json.dumps(whole), parse_constant=lambda _: None)  # null for missing numbers
         write_json(place / IDENTIFY_RECORD, plain, indent=1)
         if shown:
@@ -159,17 +158,18 @@ def identify(
 def check_protocol(path: Path, checking: Checking) -> list[str]:
     """Return the warnings of a protocol.
 
-    Measured recordings are analysed, so that impossible results are faults, as in `identify`.
+    Measured recordings and logs are analysed, so that impossible results are faults, as in `identify`.
 
     Raises:
         InputError: The protocol, or logs of a craft, have faults; the error names all of them.
     """
-    if read_craft(path) is not None:
+    if (craft := read_craft(path)) is not None:
+        craft.results()
         return []
     protocol, _, measured = prepare(path)
     if not measured or not all(cell.points for cell in protocol.file.cells.values()):
         return []
-    outcome = Outcome(analyse(protocol, calibrate(protocol, {}), measured), "")
+    outcome = Outcome(analyse(protocol, calibrate(protocol, {}), measured), path)
     refuse(result_faults(protocol, outcome.results))
     return [f"warning: {message}" for message in outcome.warnings]
 
@@ -201,9 +201,6 @@ def prepare(path: Path) -> tuple[Protocol, Model, dict[str, list[Recording]]]:
     refuse(faults)
     text = protocol.file.model
     model = named_model(text) if is_model(text) else load_model(text, protocol.yaml.path.parent, protocol.yaml).model
-    if not IDENTIFIED_PARAMETERS & {p.name for p in model.parameters}:
-        reason = f"{text} has none of {', '.join(sorted(IDENTIFIED_PARAMETERS))}, the identified parameters"
-        refuse([protocol.yaml.fault(("model",), f"{reason}; give the model of the object on the bench")])
     return protocol, model, measured
 
 

@@ -1,6 +1,6 @@
 // The signal browser: plots over one time, points from the server for what is in sight, layouts, derived signals; of a
 // running command also its rows as they come.
-/* global one, all, make, button, put, readable, post, request, save, safeName, lastUpTo, Linked, Chart, SignalTree,
+/* global one, all, make, button, put, readable, post, request, safeName, lastUpTo, Linked, Chart, SignalTree,
    MOST_AXES, COLOURS */
 /* exported startView */
 
@@ -36,18 +36,9 @@ class SignalPlot extends Chart {
   style = ({ colour }) => `s${colour % COLOURS}${colour >= COLOURS ? " again" : ""}`;
 
   curveOf(run, name, more = {}) {
-    const { units, kinds } = this.host.runs[run];
-    return {
-      run,
-      name,
-      unit: units[name] || "",
-      kind: kinds[name],
-      colour: 0,
-      hidden: false,
-      points: null,
-      value: null,
-      ...more,
-    };
+    const { units, kinds } = this.host.runs[run],
+      fresh = { colour: 0, hidden: false, points: null, value: null };
+    return { run, name, unit: units[name] || "", kind: kinds[name], ...fresh, ...more };
   }
   // Curves of one unit share an axis; without a unit only the same signal of other runs does.
   add(pairs, place = null) {
@@ -266,8 +257,6 @@ class Desk extends Linked {
       active: null,
       changes: [],
       follows: "so far",
-    });
-    Object.assign(this, {
       told: [...about.notes],
       isBusy: false,
       isAgain: false,
@@ -408,7 +397,7 @@ class Desk extends Linked {
     const points = this.curves.reduce((sum, curve) => sum + (curve.points?.x.length ?? 0), 0);
     return this.isDense || (!paper.matches && points > QUICK);
   }
-  // Run, formula and notes of a curve.
+  // Run and formula of a curve.
   about({ run, name }) {
     const { label, formulas, kinds } = this.runs[run],
       made = formulas.find((f) => f.name === name);
@@ -416,7 +405,7 @@ class Desk extends Linked {
     if (!made) return label;
     const of = (r, signal) => (r === run ? signal : `${signal} of ${this.runs[r].short}`),
       parts = Object.entries(made.of).map(([letter, [r, signal]]) => `${letter}: ${of(r, signal)}`);
-    return [label, `${made.formula} with ${parts.join(", ")}`, ...made.notes].join("\n");
+    return `${label}\n${made.formula} with ${parts.join(", ")}`;
   }
 
   // -- view and cursor ------------------------------------------------------------------------------
@@ -539,21 +528,15 @@ class Desk extends Linked {
         range = { ...this.view },
         planes = shown("xy"),
         across = planes.map(([plot, c]) => [c.run, plot.across.name]);
-      await this.fill(
-        "points",
-        { ...range, width },
-        shown("time").map(([, c]) => c),
-      );
-      await this.fill(
-        "plane",
-        { ...range, width: 8000, across },
-        planes.map(([, c]) => c),
-      );
-      await this.fill(
-        "spectrum",
-        range,
-        shown("spectrum").map(([, c]) => c),
-      );
+      const asked = [
+        ["points", { ...range, width }, shown("time")],
+        ["plane", { ...range, width: 8000, across }, planes],
+        ["spectrum", range, shown("spectrum")],
+      ];
+      for (const [path, about, pairs] of asked) {
+        const curves = pairs.map(([, curve]) => curve);
+        await this.fill(path, about, curves);
+      }
     } catch (error) {
       const isGone = error.message === "Failed to fetch";
       this.warn(isGone ? "The command does not respond. The data received so far remain on this page." : error.message);
@@ -636,7 +619,6 @@ class Desk extends Linked {
       for (const curve of plot.curves.filter(isHere)) Object.assign(curve, { unit: made.unit, value: null });
       plot.build();
     }
-    for (const note of made.notes) this.warn(note);
   }
   async underive(made) {
     await post("derive", { remove: [made.run, made.name] });
@@ -674,7 +656,14 @@ class Desk extends Linked {
       isOnly = names.size === 1 && this.runs.length === 1,
       find = (label) => (isOnly ? 0 : this.runs.findIndex((run) => run.name === label)),
       [missing, wrong] = [[], []];
-    await this.deriveAll(content.derived ?? [], find, missing, wrong);
+    for (const { name, formula, of, unit } of content.derived ?? []) {
+      const here = Object.fromEntries(Object.entries(of).map(([k, c]) => [k, [find(c.run), c.name]]));
+      if (Object.values(here).some(([run, signal]) => run < 0 || !(signal in this.runs[run].units))) missing.push(name);
+      else
+        await this.derive(name, formula, here, unit).catch((error) =>
+          wrong.push(`${name} is left out: ${error.message}`),
+        );
+    }
     const known = (c) => {
       const run = find(c.run);
       if (run >= 0 && c.name in this.runs[run].units) return [{ ...c, run }];
@@ -706,26 +695,6 @@ class Desk extends Linked {
         `Omitted, because these runs lack them: ${missing.slice(0, 5).join(", ")}${missing.length > 5 ? ", …" : ""}`,
       );
     for (const words of wrong) this.warn(words);
-  }
-  // Derived signals of a layout, each after those that it depends on, in whatever order the file has them.
-  async deriveAll(formulas, find, missing, wrong) {
-    let waiting = formulas.map(({ of, ...more }) => {
-      const here = Object.fromEntries(Object.entries(of).map(([k, c]) => [k, [find(c.run), c.name]]));
-      return { ...more, here, run: Object.values(here)[0][0] };
-    });
-    const waits = ({ here }) =>
-      Object.values(here).some(([run, name]) => waiting.some((other) => other.run === run && other.name === name));
-    for (let next; (next = waiting.find((each) => !waits(each)));) {
-      waiting = waiting.filter((each) => each !== next);
-      if (Object.values(next.here).some(([run, name]) => run < 0 || !(name in this.runs[run].units)))
-        missing.push(next.name);
-      else
-        await this.derive(next.name, next.formula, next.here, next.unit).catch((error) =>
-          wrong.push(`${next.name} is left out: ${error.message}`),
-        );
-    }
-    if (waiting.length)
-      wrong.push(`Omitted, because they depend on themselves: ${waiting.map((f) => f.name).join(", ")}`);
   }
   // The signals of criteria, each with its target, in all runs that have them.
   plotJudged() {
@@ -948,26 +917,6 @@ async function startView(inputs = null) {
     event.preventDefault();
     return inLayouts(() => putLayout(one("#layout-name").value.trim(), desk.layout()));
   };
-  one("#download").onclick = () => {
-    const label = one("#layout-name").value.trim() || "layout",
-      content = { schema_version: 1, layouts: { [label]: desk.layout() } };
-    save(new Blob([JSON.stringify(content, null, 2)], { type: "application/json" }), `${safeName(label)}.json`);
-  };
-  one("#upload").onchange = (event) =>
-    inLayouts(async () => {
-      const [file] = event.target.files,
-        text = await file.text();
-      event.target.value = "";
-      let content = null;
-      try {
-        content = JSON.parse(text);
-      } catch {
-        /* it is refused below */
-      }
-      const [first] = Object.values(await post("layouts", { file: file.name, content }));
-      if (!first) throw new Error("This file has no layout.");
-      await open(first);
-    });
   listLayouts();
 
   // -- start --------------------------------------------------------------------------------------------

@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import os
 from collections.abc import Sequence
-from functools import partial
 from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -87,11 +86,11 @@ def new_figure(width: float = 0.0, height: float = 0.0) -> Figure:
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(width, height) if width else None, layout="constrained")
-    figure._repr_png_ = partial(_png, figure)  # type: ignore[attr-defined]  # for notebooks without %matplotlib
+
+    def png() -> bytes:
+        picture = io.BytesIO()
+        figure.savefig(picture, format="png", dpi=110)
+        return picture.getvalue()
+
+    figure._repr_png_ = png  # type: ignore[attr-defined]  # for notebooks without %matplotlib
     return figure
-
-
-def _png(figure: Figure) -> bytes:
-    picture = io.BytesIO()
-    figure.savefig(picture, format="png", dpi=110)
-    return picture.getvalue()

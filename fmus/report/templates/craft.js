@@ -51,12 +51,7 @@
     one(".scale-bar").style.width = `${(100000 * bar) / width}%`;
     put(one(".scale-bar span"), `${bar} m`);
     put(one("#marks"), `a dot every ${every} s`);
-    const { force, unit } = crafts[0];
-    if (crafts[0].tilt_right)
-      put(
-        one("#arrows"),
-        unit ? `arrows: horizontal thrust, 10 cm = ${roundStep(force)} N` : "arrows: sine of the tilt",
-      );
+    if (crafts[0].tilt_right) put(one("#arrows"), `arrows: horizontal thrust, 10 cm = ${roundStep(crafts[0].force)} N`);
     return crafts.map((entry, index) => {
       const group = all(".body", map)[index],
         pieces = Object.fromEntries(
