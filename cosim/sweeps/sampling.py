@@ -18,7 +18,7 @@ from cosim.core.arrays import Array, Rows
 from cosim.core.extras import optional
 
 MAX_SWEEP_RUNS = 1_000_000
-Sampling = Literal["latin-hypercube", "sobol", "saltelli"]
+Sampling = Literal["latin-hypercube", "sobol", "random", "saltelli"]
 QUANTILE_975 = 1.959963984540054  # quantile 0.975 of the normal distribution
 QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
 MIN_SENSITIVITY_RUNS, MAX_SENSITIVITY_RUNS = 50, 2000  # for estimating a sensitivity
@@ -48,23 +48,29 @@ class Factor:
 
 def distribution(way: str, numbers: Sequence[float], within: Sequence[float] | None = None) -> Callable[[Array], Array]:
     """Return the inverse of a distribution function; raise ValueError for invalid numbers."""
-    low, high = numbers if way != "normal" else within or (-math.inf, math.inf)
+    if way in {"normal", "triangular"}:
+        from scipy.stats import norm, triang, truncnorm  # This import is slower than all others.
+    if way == "normal" and not numbers[1] > 0:
+        raise ValueError(f"a standard deviation of {numbers[1]:g} is not allowed; give one above 0")
+    if way == "normal" and not within:
+        return lambda u: norm.ppf(u, *numbers)
+    low, high = within if within and way == "normal" else (numbers[0], numbers[-1])
     if not low < high:
-        raise ValueError(f"the range from {low:g} to {high:g} is empty; write the lower limit first")
+        text = "write the lower limit first"
+        raise ValueError(f"the range from {low:g} to {high:g} is empty; {text}")
     if way == "normal":
-        from scipy.stats import norm, truncnorm  # This import is slower than all others.
-
         mean, deviation = numbers
-        if not deviation > 0:
-            raise ValueError(f"a standard deviation of {deviation:g} is not allowed; give one above 0")
-        if not within:
-            return lambda u: norm.ppf(u, mean, deviation)
         a, b = (low - mean) / deviation, (high - mean) / deviation
         if norm.cdf(b) - norm.cdf(a) < 1e-9:
             raise ValueError(f"within {low:g} … {high:g} the distribution has no values; change these limits")
         return lambda u: truncnorm.ppf(u, a, b, mean, deviation)
     if way == "uniform":
         return lambda u: low + (high - low) * u
+    if way == "triangular":
+        if not low <= numbers[1] <= high:
+            text = f"the most likely value, {numbers[1]:g}, is not between {low:g} and {high:g}"
+            raise ValueError(f"{text}; write low, most likely, high")
+        return lambda u: triang.ppf(u, (numbers[1] - low) / (high - low), low, high - low)
     if low <= 0:
         raise ValueError(f"{low:g} has no logarithm; give limits above 0")
     return lambda u: np.exp(math.log(low) + (math.log(high) - math.log(low)) * u)
@@ -104,6 +110,8 @@ def _shares(count: int, rows: int, sampling: Sampling, seed: int) -> Array:
     rng = np.random.default_rng([seed, 0x5EED])
     if not count or not rows:
         return np.empty((rows, count))
+    if sampling == "random":
+        return rng.random((rows, count))
     points: Array
     if sampling == "latin-hypercube":  # the points of scipy.stats, whose import is slower than all others
         rng, strata = rng.spawn(1)[0], np.tile(np.arange(1, rows + 1), (count, 1))

@@ -11,7 +11,7 @@ from cosim.scenario.scenario import Variable, scalar
 
 Whole = Annotated[int, Field(strict=True, ge=0)]
 Count = Annotated[int, Field(strict=True, ge=1)]
-DISTRIBUTIONS = ("uniform", "log_uniform", "normal")
+DISTRIBUTIONS = ("uniform", "log_uniform", "normal", "triangular")
 VARIATION_KEYS = ("values", "grid", *DISTRIBUTIONS, "count", "each")
 
 
@@ -53,6 +53,7 @@ class Varied(Part):
     uniform:     [low, high]
     log_uniform: [low, high], uniform in the logarithm
     normal:      [mean, standard deviation]
+    triangular:  [low, most likely, high]
     within:      [low, high], limits of a normal distribution
     count:       number of seeds, for `seed` only, from the scenario's seed on; each is combined with all other values
     each:        first seed, for `seed` only; each run gets the next seed
@@ -63,6 +64,7 @@ class Varied(Part):
     uniform: tuple[Quantity, Quantity] | None = None
     log_uniform: tuple[Quantity, Quantity] | None = None
     normal: tuple[Quantity, Quantity] | None = None
+    triangular: tuple[Quantity, Quantity, Quantity] | None = None
     within: tuple[Quantity, Quantity] | None = None
     count: Count | None = None
     each: Whole | None = None
@@ -106,7 +108,7 @@ class SweepFile(Part):
     scenario: str
     set: dict[str, Any] = Field(default_factory=dict)
     vary: dict[str, Varied] = Field(min_length=1)
-    sampling: Literal["latin-hypercube", "sobol", "saltelli"] = "latin-hypercube"
+    sampling: Literal["latin-hypercube", "sobol", "random", "saltelli"] = "latin-hypercube"
     runs: Count = 100
     seed: Whole = 0
     signals: list[Variable] = Field(default_factory=list)
