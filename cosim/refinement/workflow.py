@@ -46,7 +46,7 @@ from cosim.files.files import (
 from cosim.files.folders import remove_earlier
 from cosim.fmi.building.refined import NEAREST, REFINE_RECORD, REFINED
 from cosim.isolation.limits import Limits
-from cosim.refinement.decision.bundle import between_rows, fit_given_model, late_input
+from cosim.refinement.decision.bundle import between_rows, fit_given_model
 from cosim.refinement.decision.claims import Claims, claims_of, floor_warning, sentence
 from cosim.refinement.proof.measure import (
     FLOOR_SEED,
@@ -56,7 +56,6 @@ from cosim.refinement.proof.measure import (
     Replays,
     Variant,
     credibility_of,
-    final_log_parameters,
     find_rises,
     log_noise,
     noise_floor,
@@ -130,12 +129,10 @@ def refine(
             remove_earlier(folder, read=study.files)
             write_json(folder / REFINE_RECORD, unfinished(study, limited.tried), allow_nan=False)
             raise
-        between = between_rows(search.problem, claims.base)
+        gain_otherwise, otherwise = between_rows(search.problem, claims.base)
         unfitted = fit_given_model(search.problem, claims.base.fit)
         noise = log_noise(claims.best.fit.noise, search.free_noise)
-        late = late_input(search.problem, claims.best) if claims.best.fit.free else None
-        other = between if late is None or late.gain < between.gain else late
-        warnings = [*noise_warnings(problem, noise, subject), *([other.warning] if other.warning else [])]
+        warnings = [*noise_warnings(problem, noise, subject), *([otherwise] if otherwise else [])]
         if subject.probed:
             warnings += cell_warnings(problem, subject)
         allowed = study.content.limits
@@ -155,7 +152,6 @@ def refine(
             quiet = replace(best, noise=log_noise(claims.delivered.fit.noise, search.free_noise))
             rng = np.random.default_rng(FLOOR_SEED)  # fixed for reproducible results
             floors: Floors = {part: noise_floor(quiet, problem, logs, rng) for part, logs in sets.items()}
-            ends = final_log_parameters(variants["after"], problem, sealed)
             progress("measuring error bands", 0.0)
             records = {}
             for name, h in {"after": claims.claimed, "nearest": claims.nearest}.items():
@@ -174,7 +170,7 @@ def refine(
             if sealed and delivered in played:
                 before, after = (played[name]["validation"][subject.horizon] for name in ("before", delivered))
                 risen = find_rises(before, after)
-                remaining = remaining_on_sealed_logs(before, after, floors["validation"].level)
+                remaining = remaining_on_sealed_logs(before, after, floors["validation"])
             text = sentence(claims, subject, risen, remaining, is_written=bool(files))
             written = record(
                 study,
@@ -183,11 +179,10 @@ def refine(
                 problem.layout.outputs,
                 unfitted=unfitted,
                 noise=noise,
-                gain_otherwise=between.gain,
+                gain_otherwise=gain_otherwise,
                 played=played,
                 floors=floors,
                 way=way,
-                ends=ends,
                 untested=untested,
                 seconds=time.perf_counter() - start,
             )
@@ -336,7 +331,7 @@ def _proof_warnings(variants: Mapping[str, Variant], way: Replays, floors: Floor
     subject, delivered = subjects[0], [name for name in ("after", "nearest") if name in played]
     for part, floor in floors.items():
         errors = [rmse(played[name][part][subject.horizon]) for name in delivered]
-        least = {n: min(e.get(n, math.inf) for e in errors) for n in floor.level}
-        channels = {n: (level, least[n]) for n, level in floor.level.items() if level > COUNTS_FROM * least[n] > 0.0}
+        least = {n: min(e.get(n, math.inf) for e in errors) for n in floor}
+        channels = {n: (level, least[n]) for n, level in floor.items() if level > COUNTS_FROM * least[n] > 0.0}
         if channels:
             yield floor_warning(part, channels, subject)

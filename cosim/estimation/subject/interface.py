@@ -105,7 +105,6 @@ class Subject(Protocol):
         present: Candidates already in the object; a change of their values counts as a wrong parameter.
         excursion: Signal → allowed deviation from its start in an experiment.
         told_apart_by: Candidates → sentence on the experiment that separates them.
-        drawn_against: Candidate → signals over which its effect is plotted.
         inestimable: Parameters that a filter cannot estimate, such as a delay of commands.
         probed: True for an FMU, whose terms are those of a general catalogue.
         display: Unit → name of its display unit, factor and offset to its values.
@@ -132,7 +131,6 @@ class Subject(Protocol):
     present: frozenset[str] = frozenset()
     excursion: Mapping[str, float] = {}
     told_apart_by: Mapping[frozenset[str], str] = {}
-    drawn_against: Mapping[str, tuple[str, ...]] = {}
     inestimable: frozenset[str] = frozenset()
     probed: bool = False
     display: Mapping[str, Sequence[Any]] = {}

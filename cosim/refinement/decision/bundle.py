@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from itertools import combinations
 
@@ -15,7 +15,7 @@ from scipy.special import expit, logit, logsumexp, ndtr
 from cosim.core.arrays import Array, NamedValues, Rows
 from cosim.core.errors import FmuError, SimulationError
 from cosim.core.linear_algebra import least_squares
-from cosim.core.text import counted, join_names, plain
+from cosim.core.text import join_names, plain
 from cosim.credibility.bands import FREE_RUN_PARTS
 from cosim.estimation.data import count_unscored, lagged_table
 from cosim.estimation.fit import Fit, fit, fit_for_held_out, inverse, slopes, with_flat_directions
@@ -578,70 +578,30 @@ def _outputs(problem: Problem, data: Data, values: NamedValues) -> Array:
     return lagged_table(run.outputs, np.array([lags.get(k, 0.0) for k in range(data.y.shape[1])]))
 
 
-# Comparison, by likelihood, of inputs that are held and interpolated between rows, and of inputs that act earlier.
-#
-# With even prior odds, another use of inputs is reported if its probability is that required of a claim, and if its
-# gain is not due to chance over blocks of time.
+# Comparison, by likelihood, of inputs that are held and interpolated between rows.
 
 
-@dataclass(frozen=True)
-class OtherInputs:
-    """Log-likelihood gain of another use of inputs, with a warning if this use is clearly more likely."""
+def between_rows(problem: Problem, base: Hypothesis) -> tuple[float, str]:
+    """Refit the recalibrated model with every input held instead of interpolated between rows, or vice versa.
 
-    gain: float
-    warning: str = ""
-
-
-def between_rows(problem: Problem, base: Hypothesis) -> OtherInputs:
-    """Refit the recalibrated model with every input held instead of interpolated between rows, or vice versa."""
+    Returns:
+        Log-likelihood gain, and a warning if the gain has the probability that a claim needs (with even prior odds) and
+        is not due to chance over blocks of time.
+    """
     ramped, names = problem.settings.interpolated, problem.layout.inputs
     flipped = frozenset(names) - ramped
     logs = [replace(data, interpolated=flipped) for data in problem.logs]
     other = replace(problem, logs=logs, settings=replace(problem.settings, interpolated=flipped))
-    gain, clearly = _gain_of(problem, base, other)
-    if not clearly:
-        return OtherInputs(gain)
+    # Unknown inputs start at a large level, because inputs that compensated the wrong choice converge slowly.
+    refit = fit(other, base.fit.free, base.fit.values, other.plain)
+    gain, steady = base.fit.objective - refit.objective, steadiness(problem, refit, base.fit, other)
+    if gain <= float(logit(CERTAIN)) or float(ndtr(-steady)) >= MISFIT:
+        return gain, ""
     ways = [("interpolated", "held") if name in ramped else ("held", "interpolated") for name in names]
     setting = f"{{{', '.join(f'{name}: {other}' for name, (_, other) in zip(names, ways, strict=True))}}}"
     setting = ways[0][1] if len(set(ways)) == 1 else setting
     inputs = join_names([f"{name} is assumed to be {way}" for name, (way, _) in zip(names, ways, strict=True)])
-    warning = f"between rows, {inputs}. The alternative {clearly}; if the rig commands its inputs that way, "
-    return OtherInputs(gain, f"{warning}write `inputs: {setting}` in the study")
-
-
-def late_input(problem: Problem, best: Hypothesis) -> OtherInputs | None:
-    """Return the gain and a warning if an input seems to be recorded late, as after a filter; otherwise None.
-
-    No candidate lets an input act earlier than recorded. The best hypothesis is therefore fitted with each input
-    shifted by one row, then by twice as many rows as long as the likelihood increases.
-    """
-    late: OtherInputs | None = None
-    shortest, step = min(len(data.u) for data in problem.logs), problem.logs[0].step
-    for column, name in enumerate(problem.layout.inputs):
-        rows = 1
-        while rows < shortest and any(np.ptp(data.u[:, column]) for data in problem.logs):
-            logs = []
-            for data in problem.logs:
-                u = data.u.copy()
-                u[:-rows, column], u[-rows:, column] = u[rows:, column].copy(), u[-1, column]
-                logs.append(replace(data, u=u))
-            gain, clearly = _gain_of(problem, best, replace(problem, logs=logs))
-            if not clearly or (late is not None and gain <= late.gain):
-                break
-            warning = (
-                f"shifting {name} by {counted(rows, 'row')} to earlier times {clearly}: its column may lag, as after a "
-                "filter, which no candidate describes; log the input before the filter, or move its column "
-                f"{plain(rows * step)} s earlier and refine again"
-            )
-            late, rows = OtherInputs(gain, warning), 2 * rows
-    return late
-
-
-def _gain_of(problem: Problem, h: Hypothesis, other: Problem) -> tuple[float, str]:
-    """Return the gain of a hypothesis by a fit with other inputs, and a phrase on it if it is not due to chance."""
-    # Unknown inputs start at a large level, because inputs that compensated the wrong choice converge slowly.
-    refit = fit(other, h.fit.free, h.fit.values, other.plain)
-    gain, steady = h.fit.objective - refit.objective, steadiness(problem, refit, h.fit, other)
-    if gain <= float(logit(CERTAIN)) or float(ndtr(-steady)) >= MISFIT:
-        return gain, ""
-    return gain, f"raises the log-likelihood by {plain(gain)}, {plain(steady, 2)} times its standard deviation"
+    return gain, (
+        f"between rows, {inputs}. The alternative raises the log-likelihood by {plain(gain)}, {plain(steady, 2)} times "
+        f"its standard deviation; if the rig commands its inputs that way, write `inputs: {setting}` in the study"
+    )

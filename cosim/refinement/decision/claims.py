@@ -403,7 +403,7 @@ def claims_of(study: Study, search: Search, progress: Progress) -> Claims:
     }
     quiet = replace(refined(best.fit), noise=log_noise(best.fit.noise, search.free_noise))
     floor = noise_floor(quiet, search.problem, logs, np.random.default_rng(FLOOR_SEED))
-    misfit = misfit_of(by_chance, moves, errors, floor.level, beside)
+    misfit = misfit_of(by_chance, moves, errors, floor, beside)
     claimed = None
     if max(first.inclusion.values(), default=0.0) >= CERTAIN:
         claimed = with_intervals(search, best)

@@ -29,10 +29,9 @@ from cosim.core.text import (
 from cosim.core.units import unit_of_rate
 from cosim.core.version import __version__
 from cosim.credibility.bands import Coverage
-from cosim.estimation.data import count_unscored, past_reading
+from cosim.estimation.data import count_unscored
 from cosim.estimation.fit import Fit
-from cosim.estimation.problem import Problem
-from cosim.estimation.subject.candidates import Candidate, Free
+from cosim.estimation.subject.candidates import Free
 from cosim.estimation.subject.interface import Subject
 from cosim.files.files import atomic_write, path_from_here
 from cosim.fmi.building.refined import NEAREST, REFINED
@@ -42,14 +41,7 @@ from cosim.refinement.decision.posterior import CERTAIN
 from cosim.refinement.proof.measure import Part, ReplayedLogs
 from cosim.refinement.refinement import Refinement
 from cosim.refinement.search.fits import Hypothesis
-from cosim.refinement.search.missing import (
-    MAX_SMOOTHED_ROWS,
-    contributions,
-    loosen_noise,
-    outputs_along,
-    smooth_logs,
-    smoothed_logs,
-)
+from cosim.refinement.search.missing import contributions, smooth_logs
 from cosim.refinement.search.unnamed import signal_units, signals_of
 from cosim.report.charts import Charts, Drawing, Plot
 from cosim.report.panels import Band, Panel, Trace, extent, signal_panel
@@ -99,7 +91,7 @@ def write_refine_report(path: Path, r: Refinement) -> None:
         "terms": shown_effects(r, charts),
         "beside": join_names(r.verdict.best.names),
         "runs": runs(r, charts, leading),
-        "whiteness": innovations(r, charts),
+        "whiteness": innovations(r),
         "modes": modes(r),
         "fitted": f"{sum(e['fitted'] for e in tried)} of {counted(len(tried), 'hypothesis')} fitted",
         "ranking": ranking(r),
@@ -310,18 +302,13 @@ def _parameter_row(r: Refinement, free: Free, h: Hypothesis) -> dict[str, Any]:
     }
 
 
-def per_log_rows(r: Refinement) -> list[tuple[Any, ...]]:
-    """Return a row for each parameter per log and group, fitted values first."""
-    rows = []
-    for name, entry in r.record["per_log"].items():
-        unit = entry["unit"]
-        for group, e in (entry["groups"] | entry["followed"]).items():
-            interval, how = " … ".join(amount(bound, unit) for bound in e.get("ci95", ())), "fitted"
-            if not interval:
-                start = f"{amount(e['expected'], unit)} ± {amount(e['spread'], unit, 2, difference=True)}"
-                how = f"by the filter at the end of the log, from {start} (one standard deviation)"
-            rows.append((name, group, amount(e["value"], unit, None), interval or MISSING, how))
-    return rows
+def per_log_rows(r: Refinement) -> list[tuple[str, ...]]:
+    """Return a row for each parameter per log and group."""
+    return [
+        (name, group, amount(e["value"], e["unit"], None), " … ".join(amount(bound, e["unit"]) for bound in e["ci95"]))
+        for name, entry in r.record["per_log"].items()
+        for group, e in entry["groups"].items()
+    ]
 
 
 def noise_rows(r: Refinement) -> list[tuple[str, ...]]:
@@ -399,9 +386,6 @@ def second_sentence(r: Refinement) -> str:
     return f"{text}." if math.isnan(sizes["floor"]) else f"{text}; the noise floor is {shown['floor']}."
 
 
-PRODUCT_SIGN = " · "  # between the signals of a product
-
-
 def runs(r: Refinement, charts: Charts, leading: str) -> list[dict[str, Any]]:
     """Return title, channels and plots of the first sealed and the first estimation log; channel `leading` is first."""
     pages = []
@@ -450,8 +434,8 @@ def _channel(drawing: Drawing, curves: Sequence[tuple[str, str, ReplayedLogs]], 
     return drawing.plots(panels)
 
 
-def innovations(r: Refinement, charts: Charts) -> list[dict[str, Any]]:
-    """Return statistics and plots of the normalised innovations of each channel.
+def innovations(r: Refinement) -> list[dict[str, Any]]:
+    """Return statistics of the normalised innovations of each channel.
 
     Models before and after are compared; without a claim, the filter of the fit and a filter with trusted equations.
     """
@@ -459,36 +443,26 @@ def innovations(r: Refinement, charts: Charts) -> list[dict[str, Any]]:
     pairs = [(after, replace(after.noise, power=problem.noise.smallest)), (after, after.noise)]
     if r.verdict.claimed:
         pairs[0] = (r.variants["before"], after.noise)
+    step, shortest = problem.logs[0].step, min(len(data.u) - count_unscored(data) for data in problem.logs)
+    lags = lags_of(max(2, shortest), step)
+    gap = np.full((lags + 1, len(problem.layout.outputs)), np.nan)  # a gap between logs, longer than any lag
     both = []
     for variant, noise in pairs:
         parts = []
         for k, data in enumerate(problem.logs):
             run = problem.run(variant.values, noise, k, states=False)
-            first = min(count_unscored(data), max(0, len(run.errors) - 2))
-            scaled = (run.errors / np.sqrt(run.variances))[first:]
-            parts.append(np.where(np.isfinite(scaled), scaled, np.nan))
-        both.append(parts)
-    names, styles, step = modes(r), ("s1", "true"), problem.logs[0].step
-    drawing = charts.over(problem.logs[0].times[-len(both[0][0]) :])
-    lags = lags_of(min(len(part) for part in both[0]), step)
-    over_lags = charts.over(step * np.arange(1.0, lags + 1.0), ("lag", "s"))
-    gap = np.full(lags + 1, np.nan)  # a gap between logs, longer than any lag
+            scaled = (run.errors / np.sqrt(run.variances))[count_unscored(data) :]
+            parts += [np.where(np.isfinite(scaled), scaled, np.nan), gap]
+        both.append(np.concatenate(parts))
     found = []
-    for channel in dict.fromkeys(n for log in r.study.logs for n in log.outputs if n in problem.layout.outputs):
-        column = problem.layout.outputs.index(channel)
-        series = [[part[:, column] for part in parts] for parts in both]
-        tests = [whiteness(np.concatenate([piece for part in s for piece in (part, gap)]), lags) for s in series]
-        edge, width = np.full(series[0][0].size, NORMAL_95), np.full(lags, np.nan_to_num(tests[1].band))
-        traces = [Trace(n, s[0], style) for n, s, style in zip(names, series, styles, strict=True)]
-        rho = [Trace(n, test.rho[1:], style) for n, test, style in zip(names, tests, styles, strict=True)]
-        course = Panel(f"Innovation of {channel}", "σ", traces, Band("95 % of what is expected", -edge, edge))
-        beside = Panel(f"Autocorrelation of {channel}", "1", rho, Band("95 % band if white", -width, width))
+    for column, channel in enumerate(problem.layout.outputs):
+        series = [table[:, column] for table in both]
+        tests = [whiteness(s, lags) for s in series]
         row = {
             "channel": channel,
-            "size": [plain(rmse(np.concatenate(s)), 2) for s in series],
+            "size": [plain(rmse(s), 2) for s in series],
             "neighbours": [neighbours(t) for t in tests],
             "white": [MISSING if np.isnan(t.p_value) else "yes" if t.white else "no" for t in tests],
-            "plots": [*drawing.plots([course]), *over_lags.plots([beside])],
         }
         found.append(row)
     return found
@@ -500,7 +474,7 @@ def modes(r: Refinement) -> tuple[str, str]:
 
 
 class Regressor(NamedTuple):
-    """A signal over which a missing quantity is plotted, with the rows of some logs one after another."""
+    """A signal over which a missing derivative is plotted, with the rows of some logs one after another."""
 
     name: str
     unit: str
@@ -509,18 +483,17 @@ class Regressor(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class EffectComparison:
-    """A missing quantity, estimated from the logs, and the claimed term.
+    """A missing derivative, estimated from the logs, and the claimed term.
 
     Attributes:
-        where: State or channel that lacks the quantity.
-        unit: Unit of the missing quantity.
+        where: State whose derivative is incomplete.
+        unit: Unit of the derivative.
         estimated: Estimate without the claim, in each row. sigma: Standard deviation of the estimate.
         term: Claimed value; None without a claim.
         first: Number of rows of the first log.
     """
 
     effect: str
-    kind: str
     where: str
     unit: str
     against: Regressor
@@ -529,11 +502,6 @@ class EffectComparison:
     sigma: Array
     first: int
     term: Array | None = None
-
-    @property
-    def quantity(self) -> str:
-        """Return a phrase for the missing quantity."""
-        return f"error of {self.where}" if self.kind == "sensor" else f"missing derivative of {self.where}"
 
     @property
     def share(self) -> float:
@@ -549,105 +517,56 @@ def _explained(values: Array, term: Array) -> float:
 
 def compare_effects(r: Refinement) -> list[EffectComparison]:
     """Return a comparison for each claimed effect; without a claim, the unexplained missing derivative."""
-    claim, problem, subject = r.verdict.claimed, r.problem, r.study.subject
+    claim = r.verdict.claimed
     if claim is None:
         return [_compare_equation(r, r.verdict.best.fit)] if r.verdict.name == "unexplained" else []
     compared = []
     for c in claim.candidates:
         if c.kind == "sensor":
-            compared.append(_compare_sensor(subject, problem, c, claim.fit))
             continue
         without = r.verdict.base.fit
         if len(claim.candidates) > 1:  # keep the other candidates, so that only this term is missing
-            neutral = {n: problem.values[n] for n in c.parameters}
+            neutral = {n: r.problem.values[n] for n in c.parameters}
             without = replace(without, values={**claim.fit.values, **neutral})
-        compared.append(_compare_equation(r, without, c, claim.fit))
+        compared.append(_compare_equation(r, without, c.name, claim.fit))
     return compared
 
 
-def _compare_equation(
-    r: Refinement, without: Fit, candidate: Candidate | None = None, with_it: Fit | None = None
-) -> EffectComparison:
-    """Compare the derivative that a model lacks with the term of a claimed candidate, if any.
+def _compare_equation(r: Refinement, without: Fit, effect: str = "", with_it: Fit | None = None) -> EffectComparison:
+    """Compare the derivative that a model lacks with the term of a claimed effect, if any.
 
-    The equation is the one whose term is largest relative to its uncertainty; without a candidate, the equation in the
+    The equation is the one whose term is largest relative to its uncertainty; without an effect, the equation in the
     entry `residual`.
     """
     subject, problem = r.study.subject, r.problem
-    missing = smooth_logs(problem, without, deviations=bool(candidate) and problem.layout.is_free_run)
+    missing = smooth_logs(problem, without, deviations=bool(effect) and problem.layout.is_free_run)
     terms = missing.value
     if with_it is not None:
         terms = np.vstack([contributions(problem, without, with_it, k) for k in range(len(missing.rows))])
     column = int(np.argmax(np.sqrt(np.mean(terms**2, axis=0)) / np.median(missing.sigma, axis=0)))
-    if candidate is None and r.verdict.residual["equation"] in missing.equations:
+    if not effect and r.verdict.residual["equation"] in missing.equations:
         column = missing.equations.index(r.verdict.residual["equation"])
     where = missing.equations[column]
-    drawn = subject.drawn_against.get(candidate.name, ()) if candidate else ()
     return EffectComparison(
-        effect=candidate.name if candidate else "",
-        kind=candidate.kind if candidate else "nameless",
+        effect=effect,
         where=where,
         unit=next((unit_of_rate(q.unit) for q in subject.states if q.name == where), ""),
-        against=_choose(subject, signals_of(problem, missing), drawn, terms[:, column]),
+        against=_choose(subject, signals_of(problem, missing), terms[:, column]),
         time=missing.time,
         estimated=missing.value[:, column],
         sigma=missing.sigma[:, column],
         first=missing.rows[0].stop - missing.rows[0].start,
-        term=terms[:, column] if candidate else None,
+        term=terms[:, column] if effect else None,
     )
 
 
-def _compare_sensor(subject: Subject, problem: Problem, c: Candidate, claim: Fit) -> EffectComparison:
-    """Compare estimated and claimed error of a sensor, along the filtered states of the refined model.
-
-    The output is the one with the largest error.
-    """
-    kind: Any = next(k for k in subject.sensors if k.name == c.name)
-    names, parts, noise = problem.layout.outputs, [], loosen_noise(problem, claim.noise)
-    neutral = {**claim.values, **{n: problem.values[n] for n in c.parameters}}
-    for index in smoothed_logs(problem):
-        data, run = problem.logs[index], problem.run(claim.values, noise, index)
-        count = min(len(data.u), MAX_SMOOTHED_ROWS) - 1
-        clean = outputs_along(problem, index, neutral, run, count)
-        wrong, times = outputs_along(problem, index, claim.values, run, count), data.times[:count]
-        if kind.depends_on_past():
-            sensor = kind(value=claim.values[c.parameters[0]])
-            wrong = np.column_stack([past_reading(sensor, times, column) for column in clean.T])
-        rate = np.gradient(clean, data.step, axis=0)
-        scored = slice(min(count_unscored(data), count - 1), count)
-        parts.append([rows[scored] for rows in (times, clean, wrong, data.y[:count], rate)])
-    time, clean, wrong, y, rate = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
-    sizes = np.sqrt(np.nanmean((wrong - clean) ** 2, axis=0) / problem.r)
-    channel = max((names.index(n) for n in kind.affected() if n in names), key=lambda k: sizes[k])
-    rows = np.isfinite(y[:, channel]) & np.isfinite(wrong[:, channel])
-    name, term = names[channel], (wrong - clean)[rows, channel]
-    signals = {"time": time[rows], **dict(zip(names, clean[rows].T, strict=True))}
-    signals[f"rate of {name}"] = rate[rows, channel]
-    return EffectComparison(
-        effect=c.name,
-        kind="sensor",
-        where=name,
-        unit=next(q.unit for q in subject.outputs if q.name == name),
-        against=_choose(subject, signals, subject.drawn_against.get(c.name, ()), term),
-        time=time[rows],
-        estimated=(y - clean)[rows, channel],
-        sigma=np.full(len(term), float(np.sqrt(problem.r[channel]))),
-        first=int(rows[: len(parts[0][0])].sum()),
-        term=term,
-    )
-
-
-def _choose(subject: Subject, signals: Mapping[str, Array], suggested: Sequence[str], values: Array) -> Regressor:
-    """Return the signal whose bins explain most of the variance of `values`; suggested ones first."""
-    units = signal_units(subject)
-    names = [n for n in suggested if all(one in signals for one in n.split(PRODUCT_SIGN))]
-    found = []
-    for name in names or [n for n in signals if n in units and n.partition(".")[0] not in subject.present]:
-        parts = name.split(PRODUCT_SIGN)
-        x = np.prod([signals[one] for one in parts], axis=0)
-        if units.get(name) == "rad" and np.ptp(x) > 2.0 * np.pi:  # an angle of more than one turn is wrapped
-            x = np.mod(x, 2.0 * np.pi)
-        found.append(Regressor(name, PRODUCT_SIGN.join(units[one] for one in parts), x))
+def _choose(subject: Subject, signals: Mapping[str, Array], values: Array) -> Regressor:
+    """Return the signal whose bins explain most of the variance of `values`."""
+    units, found = signal_units(subject), []
+    for name, x in signals.items():
+        if name in units and name.partition(".")[0] not in subject.present:
+            is_wrapped = units[name] == "rad" and np.ptp(x) > 2.0 * np.pi  # an angle of more than one turn
+            found.append(Regressor(name, units[name], np.mod(x, 2.0 * np.pi) if is_wrapped else x))
     return min(found, key=lambda s: sum(float(np.var(values[rows])) * rows.size for rows in _bins(s.values)))
 
 
@@ -664,7 +583,7 @@ def shown_effects(r: Refinement, charts: Charts) -> list[dict[str, Any]]:
     return [
         {
             "title": s.effect or s.where,
-            "brief": s.quantity if s.term is None else f"{s.effect} explains {percent(s.share)} of the {s.quantity}",
+            "brief": f"missing derivative of {s.where}" if s.term is None else _share_text(s),
             "sentence": f"{_sentence(s)} ({counted(s.estimated.size, 'row')} of the estimation logs).",
             "plots": _plots(s, charts),
         }
@@ -672,15 +591,16 @@ def shown_effects(r: Refinement, charts: Charts) -> list[dict[str, Any]]:
     ]
 
 
+def _share_text(s: EffectComparison) -> str:
+    return f"{s.effect} explains {percent(s.share)} of the missing derivative of {s.where}"
+
+
 def _sentence(s: EffectComparison) -> str:
     """Return a sentence on the share that the term explains."""
     if s.term is None:
-        return f"The {s.quantity} is drawn against {s.against.name}, which it follows most"
-    text = f"{s.effect} explains {percent(s.share)} of the mean square {s.quantity}"
-    if s.kind == "sensor":
-        return f"{text}; the rest is sensor noise"
+        return f"The missing derivative of {s.where} is drawn against {s.against.name}, which it follows most"
     estimated, term = (np.array([v[rows].mean() for rows in _bins(s.against.values)]) for v in (s.estimated, s.term))
-    return f"{text} in single rows, and {percent(_explained(estimated, term))} in means over {s.against.name}"
+    return f"{_share_text(s)} in single rows, and {percent(_explained(estimated, term))} in means over {s.against.name}"
 
 
 def _plots(s: EffectComparison, charts: Charts) -> list[Plot]:
@@ -689,7 +609,7 @@ def _plots(s: EffectComparison, charts: Charts) -> list[Plot]:
     Estimates of neighbouring rows are correlated, so each passage of the signal through an interval counts only once.
     """
     (unit, factor), x = display(s.unit), displayed(s.against.values, s.against.unit)
-    title, bins = f"{s.quantity[0].upper()}{s.quantity[1:]}", _bins(x)
+    title, bins = f"Missing derivative of {s.where}", _bins(x)
     passes = np.array([1 + np.count_nonzero(np.diff(np.sort(rows)) > 1) for rows in bins])
     places, mean = (np.array([v[rows].mean() for rows in bins]) for v in (x, factor * s.estimated))
     variance = np.array([s.estimated[rows].var() + np.mean(s.sigma[rows] ** 2) for rows in bins])
@@ -704,7 +624,7 @@ def _plots(s: EffectComparison, charts: Charts) -> list[Plot]:
         term = factor * s.term
         means.append(Trace(s.effect, np.array([term[rows].mean() for rows in bins]), "true", x=places))
         course.append(Trace(s.effect, term[first], "true"))
-    over = s.against.name, PRODUCT_SIGN.join(display(u)[0] or u for u in s.against.unit.split(PRODUCT_SIGN)) or "1"
+    over = s.against.name, display(s.against.unit)[0] or s.against.unit or "1"
     against = Panel(f"{title} against {s.against.name}", unit or "1", means)
     band = Band("±2σ", (estimated - width)[first], (estimated + width)[first])
     time = charts.over(s.time[first]).plots([Panel(f"{title} over time", unit or "1", course, band)])

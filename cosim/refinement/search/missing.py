@@ -59,19 +59,10 @@ class MissingInput:
         return np.split(values, np.cumsum([rows.stop - rows.start for rows in self.rows])[:-1])
 
 
-def next_rows(
-    problem: Problem, values: NamedValues, index: int, points: tuple[Rows, Array, Array]
-) -> tuple[Array, Array]:
-    """Return the states at the next row, and the outputs, for each of some rows with given states and memories."""
+def next_rows(problem: Problem, values: NamedValues, index: int, points: tuple[Rows, Array, Array]) -> Array:
+    """Return the states at the next row for each of some rows with given states and memories."""
     runs = problem.simulate_from(values, index, (points[0].tolist(), *points[1:]))
-    return np.array([run.states[1] for run in runs]), np.array([run.outputs[0] for run in runs])
-
-
-def outputs_along(problem: Problem, index: int, values: NamedValues, run: Filtered, count: int) -> Array:
-    """Return the outputs of the first rows along filtered states, or of a free run."""
-    if not problem.layout.is_free_run:
-        return next_rows(problem, values, index, (np.arange(count), run.states[:count], run.memory[:count]))[1]
-    return problem.simulate(values, index, problem.begin_replay(run, 0)).outputs[:count]
+    return np.array([run.states[1] for run in runs])
 
 
 def smooth_logs(problem: Problem, base: Fit, every: int = 1, *, deviations: bool = False) -> MissingInput:
@@ -188,7 +179,7 @@ def contributions(problem: Problem, base: Fit, after: Fit, index: int) -> Array:
     states = [np.array([problem.drop_unknown_inputs(x) for x in run.states[:rows]]) for run in runs]
     states[0][:, shared] = states[1][:, shared]
     without, with_it = (
-        next_rows(problem, f.values, index, (np.arange(rows), x, run.memory[:rows]))[0]
+        next_rows(problem, f.values, index, (np.arange(rows), x, run.memory[:rows]))
         for f, x, run in zip((base, after), states, runs, strict=True)
     )
     return np.asarray((with_it - without)[min(count_unscored(data), rows) :, layout.forced_places] / data.step)
@@ -202,11 +193,11 @@ def _linear(
     size = NUDGE * np.maximum(np.abs(states[:, reached]).max(axis=0), np.sqrt(np.diag(problem.P0)))
     size = np.where(size > 0.0, size, NUDGE)  # a fixed parameter per log may be 0
     every_row, some = np.arange(rows - 1), np.arange(0, rows - 1, every)
-    ahead = next_rows(problem, values, index, (every_row, states, memory))[0][:, reached]
+    ahead = next_rows(problem, values, index, (every_row, states, memory))[:, reached]
     F = np.empty((rows - 1, len(reached), len(reached)))
     for j, state in enumerate(reached):
         nudged = states[some].copy()
         nudged[:, state] += size[j]
-        moved = next_rows(problem, values, index, (some, nudged, memory[some]))[0][:, reached]
+        moved = next_rows(problem, values, index, (some, nudged, memory[some]))[:, reached]
         F[:, :, j] = ((moved - ahead[some]) / size[j])[every_row // every]
     return ahead, F
