@@ -16,7 +16,7 @@ from cosim.fmi.building.file import own_model
 from cosim.model import Stepper
 from cosim.refinement.decision.claims import sentence
 from cosim.refinement.refinement import Refinement
-from cosim.refinement.report.refine_page import compare_effects, innovations, write_refine_report
+from cosim.refinement.report.refine_page import compare_effects, write_refine_report
 from cosim.residuals.residual_statistics import remaining_excess
 from cosim.verbs.checks import schema_of
 from tests.logs import times, write_log
@@ -107,13 +107,6 @@ def test_the_claimed_term_is_the_force_over_the_mass_and_the_data_show_it_to_one
         assert found.estimated[rows].mean() == pytest.approx(-sign * DRY / MASS, abs=0.03)
     assert np.corrcoef(found.term, found.estimated)[0, 1] > 0.9
     assert found.share > 0.8
-
-
-def test_innovations_are_coloured_before_and_white_after(cart: Refinement) -> None:
-    (row,) = innovations(cart)
-    assert row["white"] == ["no", "yes"]
-    assert float(row["size"][0]) > 1.5
-    assert float(row["size"][1]) == pytest.approx(1.0, abs=0.1)  # 1100 samples: standard error 0.02
 
 
 @pytest.mark.parametrize(

@@ -394,18 +394,5 @@ def noise_warnings(problem: Problem, noise: Noise, subject: Subject) -> tuple[st
     return tuple(warnings)
 
 
-def cell_warnings(problem: Problem, subject: Subject) -> tuple[str, ...]:
-    """Return a warning about quantised readings, if there are any."""
-    finest = np.max([r.resolution for r in problem.readings], axis=0)
-    units = {q.name: written(q.unit) for q in subject.outputs}
-    pairs = zip(problem.layout.outputs, finest.tolist(), strict=True)
-    cells = [f"{name} in steps of {plain(cell)} {units[name]}".rstrip() for name, cell in pairs if cell > 0.0]
-    text = (
-        f"the readings are quantized: {join_names(cells)}. Their noise is assumed to be at least the step divided "
-        "by √12; quantization is not tried as a sensor error"
-    )
-    return (text,) if cells else ()
-
-
 def _line(levels: NamedValues) -> str:
     return f"`noise: {{{', '.join(f'{name}: {level:.2g}' for name, level in levels.items())}}}`"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -435,16 +434,14 @@ class Problem:
             points: Rows, with the state and the memory at each.
             length: Number of rows after the first.
         """
-        log, p, delay = self.logs[index], self.parameters(values, index), self.layout.delay
+        log, p = self.logs[index], self.parameters(values, index)
         at_once: Any = getattr(self.kernel, "simulate_from", None)  # kernels of other objects may lack this method
         if at_once:
             return list(at_once(log, p, points, length))
         runs = list[Simulated]()
-        back = 2 + math.ceil(p[delay] / log.step if delay >= 0 else 0.0)  # earlier rows that may act
         for row, state, memory in zip(*points, strict=True):
-            k = min(row, back)
-            run = self.kernel.simulate(log.rows(row - k, row + length + 1), p, state, memory, first=k)
-            runs.append(Simulated(run.outputs[k:], run.states[k:], run.memory[k:]))
+            run = self.kernel.simulate(log.rows(0, row + length + 1), p, state, memory, first=row)
+            runs.append(Simulated(run.outputs[row:], run.states[row:], run.memory[row:]))
         return runs
 
     def score(self, values: NamedValues, noise: Noise, only: Sequence[int] | None = None) -> Scored:

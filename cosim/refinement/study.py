@@ -182,7 +182,7 @@ class Study:
     def settings(self) -> Settings:
         """Return the study's settings for fits."""
         subject, content = self.subject, self.content
-        per_log = tuple(full_name(subject, n) for n in content.per_log or ())
+        per_log = tuple(dict.fromkeys(full_name(subject, n) for n in content.per_log or ()))
         files = [name for *_, name in _entries(content.logs)]
         groups = group_of(self.folder, files, content.groups) if per_log else {}
         ways, tolerance = content.inputs, content.tolerance
@@ -396,10 +396,9 @@ def _checked(places: Places, content: StudyFile, subject: Subject, faults: list[
         parts = stretches(log)
         if not usable:
             longest = plain(max(float(s.time[-1] - s.time[0]) for s in parts))
-            duration = f"{longest} s" if len(parts) == 1 else f"at most {longest} s without a pause"
             message = (
-                f"lasts {duration}; a log needs at least {plain(least, None)} s: record a longer log, or remove this "
-                "one"
+                f"lasts {longest} s without a pause; a log needs at least {plain(least, None)} s: record a longer log, "
+                "or remove this one"
             )
             faults.append(Fault(log.path, 0, 0, message))
         warnings += [
@@ -496,7 +495,7 @@ def _per_log_faults(places: Places, content: StudyFile, subject: Subject) -> Ite
     alone = [f for f in logs.validation if group[folder / f] not in estimated]
     base = [p.name for p in subject.parameters if not isinstance(p.default, bool)]
     of_effects = [n for n in subject.candidate_parameters if n.partition(".")[0] in subject.present]
-    allowed, full_names = [*base, *of_effects, *subject.sensor_parameters], set[str]()
+    allowed = [*base, *of_effects, *subject.sensor_parameters]
     for k, name in enumerate(names):
         place, full = ("per_log", k), full_name(subject, name)
         if full not in allowed:
@@ -511,19 +510,10 @@ def _per_log_faults(places: Places, content: StudyFile, subject: Subject) -> Ite
                 )
             yield places.fault(place, message)
             continue
-        if full in full_names:
-            yield places.fault(place, f"{name} is listed twice; keep one")
-        elif alone and full in subject.inestimable:
+        if alone and full in subject.inestimable:
             message = f"{name} needs a value for {alone[0]}, whose group has no estimation log, and the filter cannot "
             message += f"estimate it during a run; put {alone[0]} in a group with an estimation log"
             yield places.fault(place, message)
-        full_names.add(full)
-    for k, name in enumerate(content.candidates or ()):
-        if ({n for n in subject.declared if n.startswith(f"{name}.")} or {name}) <= full_names:
-            yield places.fault(
-                ("candidates", k),
-                f"{name} is also listed under per_log, and therefore estimated in every hypothesis; remove one",
-            )
 
 
 def _group_faults(places: Places, content: StudyFile) -> Iterator[Fault]:
@@ -533,8 +523,6 @@ def _group_faults(places: Places, content: StudyFile) -> Iterator[Fault]:
     for group, members in content.groups.items():
         if group in files:
             yield places.fault(("groups", group), f'group "{group}" has the name of a log; rename it', key=True)
-        if not members:
-            yield places.fault(("groups", group), f"{group} has no log; list its logs, or remove it", key=True)
         for k, name in enumerate(members):
             path, place = os.path.realpath(folder / name), ("groups", group, k)
             if path not in paths:

@@ -6,7 +6,6 @@ opened after all decisions.
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from copy import copy
@@ -23,7 +22,6 @@ from cosim.credibility.record import attach
 from cosim.estimation.fit import Fit, initial_fit
 from cosim.estimation.posing import (
     build_problem,
-    cell_warnings,
     noise_levels,
     noise_warnings,
     predictable_horizon,
@@ -47,12 +45,11 @@ from cosim.files.folders import remove_earlier
 from cosim.fmi.building.refined import NEAREST, REFINE_RECORD, REFINED
 from cosim.isolation.limits import Limits
 from cosim.refinement.decision.bundle import between_rows, fit_given_model
-from cosim.refinement.decision.claims import Claims, claims_of, floor_warning, sentence
+from cosim.refinement.decision.claims import Claims, claims_of, sentence
 from cosim.refinement.proof.measure import (
     FLOOR_SEED,
     Floors,
     LogSets,
-    Replayed,
     Replays,
     Variant,
     credibility_of,
@@ -62,7 +59,6 @@ from cosim.refinement.proof.measure import (
     refined_variant,
     remaining_on_sealed_logs,
     replay_variants,
-    rmse,
     variant_of,
 )
 from cosim.refinement.record import record, unfinished
@@ -72,7 +68,6 @@ from cosim.refinement.search.fits import Hypothesis, Search
 from cosim.refinement.stages import Watcher, report_ranking
 from cosim.refinement.study import Study, read_study, untested_effects
 from cosim.residuals.compare import horizon_name
-from cosim.residuals.residual_statistics import COUNTS_FROM
 
 Progress = Callable[[str, float], None]
 FILES_OF = {"after": REFINED[1], "nearest": NEAREST[1]}  # file of the FMU of a variant
@@ -133,8 +128,6 @@ def refine(
         unfitted = fit_given_model(search.problem, claims.base.fit)
         noise = log_noise(claims.best.fit.noise, search.free_noise)
         warnings = [*noise_warnings(problem, noise, subject), *([otherwise] if otherwise else [])]
-        if subject.probed:
-            warnings += cell_warnings(problem, subject)
         allowed = study.content.limits
         with scratch_folder(folder, ".refine-") as scratch, Workplace(scratch, allowed, in_process=in_process) as place:
             progress("building the refined FMU", 0.0)
@@ -163,7 +156,7 @@ def refine(
                     except CosimError as error:
                         warnings.append(f"{file.name} has no record of credibility: {error}")
             hold_stops()  # a result that exists from here must not be lost
-            warnings += [*failure_warnings(problem), *_proof_warnings(variants, way, floors, played)]
+            warnings += [*failure_warnings(problem), *_proof_warnings(variants, way)]
             study = replace(study, warnings=(*study.warnings, *warnings))
             risen: dict[str, tuple[float, float]] = {}
             remaining: dict[str, float] = {}
@@ -317,8 +310,8 @@ def failure_warnings(problem: Problem) -> Iterator[str]:
         yield f"the FMU failed in {evaluations}, which count as diverged; the first failure: {failures[0]}"
 
 
-def _proof_warnings(variants: Mapping[str, Variant], way: Replays, floors: Floors, played: Replayed) -> Iterator[str]:
-    """Yield a warning for a missing FMU or platform, for slow replays, and for noise floors far above the errors."""
+def _proof_warnings(variants: Mapping[str, Variant], way: Replays) -> Iterator[str]:
+    """Yield a warning for a missing FMU or platform, and for slow replays."""
     subjects = [variant.subject for variant in variants.values()]
     yield from dict.fromkeys(s.undelivered for s in subjects if s.undelivered)
     for names in dict.fromkeys(s.missing_platforms for s in subjects if s.missing_platforms):
@@ -328,10 +321,3 @@ def _proof_warnings(variants: Mapping[str, Variant], way: Replays, floors: Floor
         )
     if way.through == "python" and way.log:
         yield f"the native FMU of the model is not used: {way.why}; all errors are measured with FMUs in Python"
-    subject, delivered = subjects[0], [name for name in ("after", "nearest") if name in played]
-    for part, floor in floors.items():
-        errors = [rmse(played[name][part][subject.horizon]) for name in delivered]
-        least = {n: min(e.get(n, math.inf) for e in errors) for n in floor}
-        channels = {n: (level, least[n]) for n, level in floor.items() if level > COUNTS_FROM * least[n] > 0.0}
-        if channels:
-            yield floor_warning(part, channels, subject)

@@ -57,7 +57,7 @@ from cosim.refinement.proof.measure import (
 )
 from cosim.refinement.search.fits import TOGETHER, Hypothesis, Progress, Search
 from cosim.refinement.search.missing import unknown_inputs
-from cosim.refinement.search.unnamed import Leftover, Shape, find_unnamed_terms, signal_units
+from cosim.refinement.search.unnamed import Leftover, UnnamedTerm, find_unnamed_terms, signal_units
 from cosim.refinement.study import Study
 from cosim.residuals.residual_statistics import COUNTS_FROM
 
@@ -81,6 +81,7 @@ class Claims:
     experiment: str  # input that separates the rivals
     equivalent: Sequence[Sequence[str]]  # groups of names with equal predictions for every input
     residual: Mapping[str, Any]  # deficient equation, its signals and process noise
+    unnamed: Sequence[UnnamedTerm]  # unmodelled dynamics, most likely first
     moves: NamedValues  # forced state → size of its unknown input relative to its derivative
     hidden: Sequence[str]  # effects that these logs cannot show
     ladder: Sequence[tuple[Hypothesis | None, Any]]  # models, given one first; log errors on held-out logs
@@ -273,12 +274,12 @@ def _misfit_text(c: Claims) -> str:
 def _dependence_text(c: Claims) -> str:
     """Return a phrase on the dependence of the residual on a signal, from its first term."""
     signal: str = c.residual["signals"][0]
-    first: Mapping[str, Any] = next(iter(c.residual["terms"]), {})
-    if not first.get("local"):
+    first = c.unnamed[0]
+    shape = first.shape
+    if shape is None:
         return "is constant" if signal == "1" else f"follows {signal}"
-    if first.get("like"):
-        return f"follows {signal}, as {first['like']} would"
-    shape = Shape.of_entry(first["equation"], first["local"])
+    if first.like:
+        return f"follows {signal}, as {first.like} would"
     place, width = amount(shape.place, shape.unit), amount(shape.width, shape.unit, 2)
     by = f", times {shape.factor}" if shape.factor else ""
     if shape.kind == "spline":
@@ -328,37 +329,13 @@ def error_text(subject: Subject, channel: str, error: float, like: float) -> str
     return append_unit(plain(error * factor), unit)
 
 
-def _sizes(channels: Mapping[str, tuple[float, float]], subject: Subject) -> dict[str, list[str]]:
-    """Return channel → both errors as text, in a unit that suits the second one."""
-    return {name: [error_text(subject, name, e, pair[1]) for e in pair] for name, pair in channels.items()}
-
-
 def _rise_text(errors: Mapping[str, tuple[float, float]], subject: Subject, file: str) -> str:
     """Return a sentence on channels whose error rises on sealed logs; "" if rounded values do not differ."""
-    changes = {
-        name: f"of {name} rises from {before} to {after}"
-        for name, (before, after) in _sizes(errors, subject).items()
-        if before != after
-    }
-    if not changes:
-        return ""
-    first, *others = changes
-    also = f" So does the error of {join_names(others)}." if others else ""
-    return f"On the sealed logs the error {changes[first]} with {file}.{also}"
-
-
-def floor_warning(part: str, channels: Mapping[str, tuple[float, float]], subject: Subject) -> str:
-    """Return a warning about channels whose noise floor is above the error.
-
-    Args:
-        channels: Channel → floor and error.
-    """
-    pairs = [f"{name} {error}, floor {floor}" for name, (floor, error) in _sizes(channels, subject).items()]
-    logs = "sealed" if part == "validation" else "estimation"
-    return (
-        f"on the {logs} logs the error is below its noise floor ({'; '.join(pairs)}). These logs contain less noise "
-        "and disturbance than was estimated, so the floor does not apply to them"
-    )
+    changes = []
+    for name, pair in errors.items():
+        before, after = (error_text(subject, name, error, pair[1]) for error in pair)
+        changes += [f"of {name} from {before} to {after}"] if before != after else []
+    return f"On the sealed logs the error rises with {file}: {join_names(changes)}." if changes else ""
 
 
 # From hypotheses to claims: bundle, lack of fit, decision, and choice of the delivered model.
@@ -442,6 +419,7 @@ def claims_of(study: Study, search: Search, progress: Progress) -> Claims:
         experiment=experiment,
         equivalent=[*alike.values()],
         residual=residual,
+        unnamed=leftover.terms,
         moves=moves,
         hidden=[name for name in search.hidden if name not in decision.claimed],
         ladder=ladder,

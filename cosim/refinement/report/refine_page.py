@@ -29,7 +29,6 @@ from cosim.core.text import (
 from cosim.core.units import unit_of_rate
 from cosim.core.version import __version__
 from cosim.credibility.bands import Coverage
-from cosim.estimation.data import count_unscored
 from cosim.estimation.fit import Fit
 from cosim.estimation.subject.candidates import Free
 from cosim.estimation.subject.interface import Subject
@@ -47,8 +46,7 @@ from cosim.report.charts import Charts, Drawing, Plot
 from cosim.report.panels import Band, Panel, Trace, extent, signal_panel
 from cosim.report.template import Row, command, places, render
 from cosim.residuals.compare import horizon_name
-from cosim.residuals.report import neighbours
-from cosim.residuals.residual_statistics import FREE_RUN, lags_of, remaining_excess, rmse, whiteness
+from cosim.residuals.residual_statistics import FREE_RUN, remaining_excess, rmse
 from cosim.residuals.windows import SKIPPED
 from cosim.scenario.scenario_file import sha256
 
@@ -91,8 +89,6 @@ def write_refine_report(path: Path, r: Refinement) -> None:
         "terms": shown_effects(r, charts),
         "beside": join_names(r.verdict.best.names),
         "runs": runs(r, charts, leading),
-        "whiteness": innovations(r),
-        "modes": modes(r),
         "fitted": f"{sum(e['fitted'] for e in tried)} of {counted(len(tried), 'hypothesis')} fitted",
         "ranking": ranking(r),
         "posterior": posterior_rows(r),
@@ -101,7 +97,6 @@ def write_refine_report(path: Path, r: Refinement) -> None:
         "dispersed": DISPERSED,
         "parameters": parameter_tables(r),
         "per_log": per_log_rows(r),
-        "noise": noise_rows(r),
         "repeat": _repeat(r),
         "provenance": _provenance(r),
     }
@@ -211,7 +206,7 @@ def ranking(r: Refinement) -> TableRows:
 
 
 def posterior_rows(r: Refinement) -> TableRows:
-    """Return table rows of probable hypotheses, the recalibrated and the delivered model; others are one row."""
+    """Return table rows of probable hypotheses, the recalibrated and the delivered model."""
     record, claim, near, rows = r.record, r.verdict.claimed, r.verdict.nearest, list[dict[str, Any]]()
     held_out = {}
     for e in record["ladder"]:
@@ -221,12 +216,9 @@ def posterior_rows(r: Refinement) -> TableRows:
     outcome = "delivered" if r.verdict.name == "ambiguous" else "claimed"  # rivals are not claimed
     known = [(near, "nearest model", "nearest"), (claim, outcome, "after")]  # with the key of their errors
     delivered = {h.key: (outcome, variant) for h, outcome, variant in known if h}
-    others = 0
-    rest = {"share": 0.0, "why": "", "error": MISSING, "sealed": MISSING, "claimed": False}
     for entry in record["posterior"]:
         names, probability = frozenset[str](entry["names"]), entry["probability"]
         if names and names not in delivered and probability < 1.0 - CERTAIN:
-            others, rest["share"] = others + 1, rest["share"] + probability
             continue
         outcome, variant = delivered.get(names, ("", "" if names else "recalibrated"))
         rival = "rival" if r.verdict.decision.is_rival(names) else ""
@@ -239,7 +231,7 @@ def posterior_rows(r: Refinement) -> TableRows:
             "claimed": outcome == "claimed",
         }
         rows.append(row)
-    return [*rows, {"names": f"{counted(others, 'other set')} together", **rest}] if others else rows
+    return rows
 
 
 def _sealed_ratio(errors: Mapping[str, Any], variant: str) -> float:
@@ -309,20 +301,6 @@ def per_log_rows(r: Refinement) -> list[tuple[str, ...]]:
         for name, entry in r.record["per_log"].items()
         for group, e in entry["groups"].items()
     ]
-
-
-def noise_rows(r: Refinement) -> list[tuple[str, ...]]:
-    """Return table rows with the process noise of each equation; none if the fit trusted the equations.
-
-    √q is the drift of a state that its equation does not explain, in the unit of the state per √s.
-    """
-    units, rows = {q.name: q.unit for q in r.study.subject.states}, []
-    for name, q in ({} if r.problem.trusted else r.record["residual"]["process_noise"]).items():
-        sizes = math.sqrt(q["before"]), math.sqrt(q["after"])
-        unit, factor = finer(units.get(name, ""), max(sizes))
-        texts = (append_unit(plain(x * factor, 2), f"{unit} per √s".lstrip()) for x in sizes)
-        rows.append((name, *texts, "incomplete" if q["inflated"] else "complete"))
-    return rows
 
 
 def horizon(r: Refinement) -> str:
@@ -434,45 +412,6 @@ def _channel(drawing: Drawing, curves: Sequence[tuple[str, str, ReplayedLogs]], 
     return drawing.plots(panels)
 
 
-def innovations(r: Refinement) -> list[dict[str, Any]]:
-    """Return statistics of the normalised innovations of each channel.
-
-    Models before and after are compared; without a claim, the filter of the fit and a filter with trusted equations.
-    """
-    after, problem = r.variants["after"], r.problem
-    pairs = [(after, replace(after.noise, power=problem.noise.smallest)), (after, after.noise)]
-    if r.verdict.claimed:
-        pairs[0] = (r.variants["before"], after.noise)
-    step, shortest = problem.logs[0].step, min(len(data.u) - count_unscored(data) for data in problem.logs)
-    lags = lags_of(max(2, shortest), step)
-    gap = np.full((lags + 1, len(problem.layout.outputs)), np.nan)  # a gap between logs, longer than any lag
-    both = []
-    for variant, noise in pairs:
-        parts = []
-        for k, data in enumerate(problem.logs):
-            run = problem.run(variant.values, noise, k, states=False)
-            scaled = (run.errors / np.sqrt(run.variances))[count_unscored(data) :]
-            parts += [np.where(np.isfinite(scaled), scaled, np.nan), gap]
-        both.append(np.concatenate(parts))
-    found = []
-    for column, channel in enumerate(problem.layout.outputs):
-        series = [table[:, column] for table in both]
-        tests = [whiteness(s, lags) for s in series]
-        row = {
-            "channel": channel,
-            "size": [plain(rmse(s), 2) for s in series],
-            "neighbours": [neighbours(t) for t in tests],
-            "white": [MISSING if np.isnan(t.p_value) else "yes" if t.white else "no" for t in tests],
-        }
-        found.append(row)
-    return found
-
-
-def modes(r: Refinement) -> tuple[str, str]:
-    """Return the labels of the compared models, or of the compared filters without a claim."""
-    return ("before", "refined") if r.verdict.claimed else ("no disturbance", "disturbance estimated")
-
-
 class Regressor(NamedTuple):
     """A signal over which a missing derivative is plotted, with the rows of some logs one after another."""
 
@@ -488,31 +427,24 @@ class EffectComparison:
     Attributes:
         where: State whose derivative is incomplete.
         unit: Unit of the derivative.
-        estimated: Estimate without the claim, in each row. sigma: Standard deviation of the estimate.
+        estimated: Estimate without the claim, in each row.
         term: Claimed value; None without a claim.
-        first: Number of rows of the first log.
     """
 
     effect: str
     where: str
     unit: str
     against: Regressor
-    time: Array
     estimated: Array
-    sigma: Array
-    first: int
     term: Array | None = None
 
     @property
     def share(self) -> float:
-        """Return the share of the mean square that the term explains."""
-        return math.nan if self.term is None else _explained(self.estimated, self.term)
-
-
-def _explained(values: Array, term: Array) -> float:
-    """Return the share of a mean square that a term explains, at least 0."""
-    power = float(np.mean(values**2))
-    return max(0.0, 1.0 - float(np.mean((values - term) ** 2)) / power) if power else math.nan
+        """Return the share of the mean square that the term explains, at least 0."""
+        power = float(np.mean(self.estimated**2))
+        if self.term is None or not power:
+            return math.nan
+        return max(0.0, 1.0 - float(np.mean((self.estimated - self.term) ** 2)) / power)
 
 
 def compare_effects(r: Refinement) -> list[EffectComparison]:
@@ -552,10 +484,7 @@ def _compare_equation(r: Refinement, without: Fit, effect: str = "", with_it: Fi
         where=where,
         unit=next((unit_of_rate(q.unit) for q in subject.states if q.name == where), ""),
         against=_choose(subject, signals_of(problem, missing), terms[:, column]),
-        time=missing.time,
         estimated=missing.value[:, column],
-        sigma=missing.sigma[:, column],
-        first=missing.rows[0].stop - missing.rows[0].start,
         term=terms[:, column] if effect else None,
     )
 
@@ -575,57 +504,23 @@ def _bins(x: Array) -> list[Rows]:
     return np.array_split(np.argsort(x, kind="stable"), max(1, round(math.sqrt(x.size))))
 
 
-# -- page -------------------------------------------------------------------------------------
-
-
 def shown_effects(r: Refinement, charts: Charts) -> list[dict[str, Any]]:
-    """Return title, sentence and plots of each comparison."""
-    return [
-        {
-            "title": s.effect or s.where,
-            "brief": f"missing derivative of {s.where}" if s.term is None else _share_text(s),
-            "sentence": f"{_sentence(s)} ({counted(s.estimated.size, 'row')} of the estimation logs).",
-            "plots": _plots(s, charts),
-        }
-        for s in compare_effects(r)
-    ]
-
-
-def _share_text(s: EffectComparison) -> str:
-    return f"{s.effect} explains {percent(s.share)} of the missing derivative of {s.where}"
-
-
-def _sentence(s: EffectComparison) -> str:
-    """Return a sentence on the share that the term explains."""
-    if s.term is None:
-        return f"The missing derivative of {s.where} is drawn against {s.against.name}, which it follows most"
-    estimated, term = (np.array([v[rows].mean() for rows in _bins(s.against.values)]) for v in (s.estimated, s.term))
-    return f"{_share_text(s)} in single rows, and {percent(_explained(estimated, term))} in means over {s.against.name}"
-
-
-def _plots(s: EffectComparison, charts: Charts) -> list[Plot]:
-    """Draw the missing quantity and the claimed term: means over a signal, and the first log over time.
-
-    Estimates of neighbouring rows are correlated, so each passage of the signal through an interval counts only once.
-    """
-    (unit, factor), x = display(s.unit), displayed(s.against.values, s.against.unit)
-    title, bins = f"Missing derivative of {s.where}", _bins(x)
-    passes = np.array([1 + np.count_nonzero(np.diff(np.sort(rows)) > 1) for rows in bins])
-    places, mean = (np.array([v[rows].mean() for rows in bins]) for v in (x, factor * s.estimated))
-    variance = np.array([s.estimated[rows].var() + np.mean(s.sigma[rows] ** 2) for rows in bins])
-    around = factor * NORMAL_95 * np.sqrt(variance / passes)
-    estimated, width = factor * s.estimated, factor * 2.0 * s.sigma
-    means = [
-        Trace("data, with 95 %", mean - around, "warm", x=places, upper=mean + around),
-        Trace("mean", mean, "s1 dots", x=places),
-    ]
-    course, first = [Trace("data", estimated[: s.first], "estimate")], slice(s.first)
-    if s.term is not None:
-        term = factor * s.term
-        means.append(Trace(s.effect, np.array([term[rows].mean() for rows in bins]), "true", x=places))
-        course.append(Trace(s.effect, term[first], "true"))
-    over = s.against.name, display(s.against.unit)[0] or s.against.unit or "1"
-    against = Panel(f"{title} against {s.against.name}", unit or "1", means)
-    band = Band("±2σ", (estimated - width)[first], (estimated + width)[first])
-    time = charts.over(s.time[first]).plots([Panel(f"{title} over time", unit or "1", course, band)])
-    return [charts.alone(against, extent([x]) or (0.0, 1.0), over), *time]
+    """Return title, sentence and chart of each comparison: means of both quantities over the signal."""
+    shown = []
+    for s in compare_effects(r):
+        where, (unit, factor), x = f"missing derivative of {s.where}", display(s.unit), s.against.values
+        sentence = f"The {where} is drawn against {s.against.name}, which it follows most"
+        if s.term is not None:
+            sentence = f"{s.effect} explains {percent(s.share)} of the mean square of the {where} in single rows"
+        bins = _bins(x)
+        places, mean = (np.array([v[rows].mean() for rows in bins]) for v in (x, factor * s.estimated))
+        places = displayed(places, s.against.unit)
+        traces = [Trace("data, mean", mean, "s1 dots", x=places)]
+        if s.term is not None:
+            traces.append(Trace(s.effect, factor * np.array([s.term[rows].mean() for rows in bins]), "true", x=places))
+        panel = Panel(f"Missing derivative of {s.where} against {s.against.name}", unit or "1", traces)
+        over = s.against.name, display(s.against.unit)[0] or s.against.unit or "1"
+        text = f"{sentence} ({counted(s.estimated.size, 'row')} of the estimation logs)."
+        plot = charts.alone(panel, extent([places]) or (0.0, 1.0), over)
+        shown.append({"title": s.effect or s.where, "sentence": text, "plots": [plot]})
+    return shown

@@ -77,12 +77,12 @@ class UnnamedTerm:
     @property
     def entry(self) -> dict[str, Any]:
         """Return the term as an entry of refine.json."""
-        entry = {name: getattr(self, name) for name in ("equation", "signal", "gain", "coefficient")}
-        if self.shape is None:
-            return entry
-        local = {**self.shape.entry, "sizes": list(self.sizes)}
-        like = {"like": self.like} if self.like else {}
-        return entry | {"place": self.shape.place, "width": self.shape.width, "local": local} | like
+        entry = {name: getattr(self, name) for name in ("equation", "signal", "gain", "coefficient", "like")}
+        if shape := self.shape:
+            local = {**vars(shape), "sizes": self.sizes}
+            del local["equation"]
+            entry |= {"place": shape.place, "width": shape.width, "local": local}
+        return entry
 
 
 @dataclass(frozen=True)
@@ -241,17 +241,6 @@ class Shape:
     width: float
     times: tuple[str, ...] = ()
     unit: str = ""
-
-    @classmethod
-    def of_entry(cls, equation: str, entry: Mapping[str, Any]) -> Shape:
-        """Return the shape of an entry of refine.json."""
-        lists = {name: tuple(entry[name]) for name in ("of", "times")}
-        return cls(equation, **{n: v for n, v in entry.items() if n != "sizes"} | lists)
-
-    @property
-    def entry(self) -> dict[str, Any]:
-        """Return the shape as an entry of refine.json."""
-        return {n: list(v) if isinstance(v, tuple) else v for n, v in vars(self).items() if n != "equation"}
 
     @property
     def signal(self) -> str:
