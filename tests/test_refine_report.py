@@ -129,7 +129,7 @@ def test_every_verdict_has_its_word_its_tone_and_a_command_that_goes_on(
         claims = replace(claims, claimed=None, nearest=claims.best)
     rivalry = {"rivals": list(rivals), "experiment": "push harder" if rivals else ""}
     verdict = replace(claims, decision=decision, experiment="push harder" if rivals else "")
-    said = sentence(verdict, cart.study.subject, {}, {"s": 0.5}, is_written=True)
+    said = sentence(verdict, cart.study.subject, {}, {"s": 0.5})
     answer, more = said.split(". ", 1)
     assert len(answer.split()) <= 25
     record = {**cart.record, **rivalry, "verdict": name, "sentence": said, "untested": ["leaks"]}

@@ -139,6 +139,11 @@ class Problem:
         return int(sum(readings.scored.sum() for readings in self.readings))
 
     @property
+    def price(self) -> float:
+        """Return ½ ln N, half of BIC: the log-likelihood gain that pays for a parameter."""
+        return 0.5 * float(np.log(max(2, self.samples)))
+
+    @property
     def noise(self) -> NoiseRange:
         """Return the search range of process noise; derived problems share the range of the first one."""
         if not self.ranges:

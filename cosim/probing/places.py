@@ -142,16 +142,9 @@ class Places:
 
     @property
     def findings(self) -> tuple[str, ...]:
-        """Return sentences on an internal step, on failures, and on damping parameters that could not be used."""
+        """Return sentences on an internal step and on failures."""
         stops = [f"{stop}; the structure was measured before this" for stop in self.structure.stops]
-        lost = [
-            f"forces at {d.pair.velocity} are tried only through an input or on its derivative: how they change other "
-            f"derivatives could be measured with the damping parameter {d.parameter}, but a second instance cannot be "
-            "synchronized (events occur, or only one instance per process is allowed)"
-            for d in self.structure.directions
-            if not d.in_step
-        ]
-        return (*([self.own_step.finding] if self.own_step else []), *lost, *stops)
+        return (*([self.own_step.finding] if self.own_step else []), *stops)
 
     def as_json(self) -> dict[str, Any]:
         """Return the places as JSON types."""

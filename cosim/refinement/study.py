@@ -295,12 +295,7 @@ def _of_fmu(yaml: YamlFile, content: StudyFile, faults: list[Fault]) -> Study:
         raise InputError.at(fmu, f"a refinement of an FMU needs a C compiler; {cure('refine')}")
     probed = probe_places(fmu, logs)
     if probed.structure.way == "co-simulation" and probed.own_step:
-        step, own = probed.structure.step, f"{probed.own_step.length:.3g} s"
-        message = (
-            f"{content.model} has no usable model exchange ({probed.reason}), and its co-simulation has an internal "
-            f"step of about {own}, above the step {step:.3g} s of the logs, so its results are wrong; export it for "
-            f"model exchange or with a shorter step, or record rows every {own}"
-        )
+        message = f"{content.model} has no usable model exchange ({probed.reason}), and {probed.own_step.finding}"
         raise InputError([yaml.fault(("model",), message)])
     subject = FmuSubject.of_fmu(probed.structure, logs, terms, content.limits or Limits())
     subject.source += f", because {probed.reason}"
@@ -558,20 +553,14 @@ def check_study(path: Path, checking: Checking) -> list[str]:
     found += [Note(f"not tested: {text}") for text in untested_effects(study)]
     if not isinstance(study.subject, FmuSubject):
         return found
-    subject, logs = study.subject, study.content.logs
+    subject = study.subject
     s, count = subject.structure, len(subject.candidates([q.name for q in subject.inputs]))
-    found.append(Note(f"`cosim refine` will use {subject.source.removeprefix(f'{s.fmu}, ')}"))
-    place = f"the places that `cosim info --places {s.fmu.name}` lists"
-    found.append(Note(f"`cosim refine` will try {count} terms and parameters at {place}"))
+    way, places = subject.source.removeprefix(f"{s.fmu}, "), f"the places that `cosim info --places {s.fmu.name}` lists"
+    found.append(Note(f"`cosim refine` will use {way}, and try {count} terms and parameters at {places}"))
     if subject.is_stepped and len({log.path for log in study.logs}) < FEWEST_STEPPED:
         found.append(
             f"warning: co-simulation can only simulate whole logs, so a claim needs at least {FEWEST_STEPPED} "
             "estimation logs"
-        )
-    if not logs.validation:
-        many = counted(len(logs.estimation), "log")
-        found.append(
-            Note(f"no validation log: a claim from {many} will not be checked on data that no decision has used")
         )
     return found
 

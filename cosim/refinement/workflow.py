@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from copy import copy
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -17,14 +16,13 @@ import numpy as np
 
 from cosim.core.errors import CosimError, Fault, TimedOut, refuse
 from cosim.core.messages import Note
-from cosim.core.text import counted, join_names, plain, showing
+from cosim.core.text import counted, join_names, showing
 from cosim.credibility.record import attach
 from cosim.estimation.fit import Fit, initial_fit
 from cosim.estimation.posing import (
     build_problem,
     noise_levels,
     noise_warnings,
-    predictable_horizon,
     with_likely_starts,
 )
 from cosim.estimation.problem import Problem
@@ -67,7 +65,6 @@ from cosim.refinement.search.attribution import attribute
 from cosim.refinement.search.fits import Hypothesis, Search
 from cosim.refinement.stages import Watcher, report_ranking
 from cosim.refinement.study import Study, read_study, untested_effects
-from cosim.residuals.compare import horizon_name
 
 Progress = Callable[[str, float], None]
 FILES_OF = {"after": REFINED[1], "nearest": NEAREST[1]}  # file of the FMU of a variant
@@ -113,7 +110,6 @@ def refine(
     check_writable(folder, (*REFINED, *NEAREST, REFINE_RECORD, "report.html"), study.files)
     problem = _build_problem(study)
     refuse(_divergences(study, problem))
-    study = _with_predictable_horizon(study, problem)
     subject = study.subject
     with showing({"display": subject.display}):
         try:
@@ -164,7 +160,7 @@ def refine(
                 before, after = (played[name]["validation"][subject.horizon] for name in ("before", delivered))
                 risen = find_rises(before, after)
                 remaining = remaining_on_sealed_logs(before, after, floors["validation"])
-            text = sentence(claims, subject, risen, remaining, is_written=bool(files))
+            text = sentence(claims, subject, risen, remaining)
             written = record(
                 study,
                 claims,
@@ -243,21 +239,6 @@ def _build_problem(study: Study) -> Problem:
     visible, guess = (np.array([of.get(n, 0.0) ** 2 for n in names]) for of in (shown, guesses))
     r = np.where((guess > 0.0) & ~np.isin(names, [*stated]), guess, problem.r)
     return with_likely_starts(replace(problem, r=r, shown=visible, ranges=[]))
-
-
-def _with_predictable_horizon(study: Study, problem: Problem) -> Study:
-    """Return the study with a horizon over which the given model can predict, and a warning if it is shortened."""
-    horizon = study.subject.horizon
-    shorter = predictable_horizon(problem, horizon)
-    if shorter >= horizon:
-        return study
-    subject = copy(study.subject)
-    subject.horizon = shorter
-    warning = (
-        "errors of the start state grow exponentially in these logs. Predictions therefore last "
-        f"{plain(shorter, 2)} s, in which these errors grow tenfold, instead of the model's {horizon_name(horizon)}"
-    )
-    return replace(study, subject=subject, warnings=(*study.warnings, warning))
 
 
 def _divergences(study: Study, problem: Problem) -> Iterator[Fault]:

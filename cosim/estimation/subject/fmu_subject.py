@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from shutil import copyfile
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
@@ -231,10 +231,6 @@ class FmuSubject(ModelSubject):
         """Write plant.fmu or nearest.fmu: the original FMU with the claimed terms and values."""
         fmu = self._delivered(scratch)
         return () if fmu is None else (Path(copyfile(fmu, scratch / DELIVERED_FILES[name][1])),)
-
-    def main_file(self, name: Literal["refined", "nearest"]) -> str:
-        """Return the name of the FMU, the only file."""
-        return DELIVERED_FILES[name][1]
 
 
 @dataclass

@@ -20,7 +20,6 @@ from typing import Any, Literal, Protocol, Self, runtime_checkable
 from cosim.core.arrays import Array, NamedArrays, NamedValues, Rows
 from cosim.estimation.kernel.kernel import Data, Kernel
 from cosim.estimation.subject.candidates import Candidate
-from cosim.fmi.building.refined import NEAREST, REFINED
 from cosim.isolation.limits import Limits
 from cosim.isolation.process import Worker
 from cosim.logs.log import Log
@@ -232,10 +231,6 @@ class Subject(Protocol):
             name: `refined` or `nearest`.
         """
         return ()
-
-    def main_file(self, name: Literal["refined", "nearest"]) -> str:
-        """Return the name of the main file that `write` writes."""
-        return (REFINED if name == "refined" else NEAREST)[0]
 
     def use(self, folder: Path, name: Literal["refined", "nearest"] = "refined") -> Sequence[str]:
         """Return a command line that uses the delivered files in `folder`; empty without files."""

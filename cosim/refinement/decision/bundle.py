@@ -48,8 +48,7 @@ from cosim.refinement.decision.posterior import (
     posterior,
 )
 from cosim.refinement.search.fits import SCREEN_ITERATIONS, Hypothesis, Search
-from cosim.refinement.search.missing import MAX_SMOOTHED_ROWS
-from cosim.refinement.search.unnamed import Leftover
+from cosim.refinement.search.unnamed import MAX_SMOOTHED_ROWS, Leftover
 from cosim.residuals.residual_statistics import remaining_excess
 from cosim.terms.catalogue import contains
 
@@ -97,22 +96,22 @@ def evidence(search: Search, h: Hypothesis) -> Evidence:
 
 def prior_of(search: Search, h: Hypothesis, f: Free) -> Parameter:
     """Return a free parameter of a fit, with its prior, for the posterior."""
-    subject, problem = search.subject, search.problem
-    value, low = float(h.fit.values[f.name]), max(f.low, h.fit.values.get(f.above, f.low))
-    if f.prior:
-        return Parameter(f.name, "", value, *f.prior, low=low, high=f.high)
+    subject, problem, given = search.subject, search.problem, float(search.problem.values[f.name])
     of = next((c for c in h.candidates if f.name in c.parameters), None)
-    part, given = of.name if of else "", float(problem.values[f.name])
-    if of and f.name in of.repeats[:1]:  # every period is equally probable: the normal prior has the same density
-        width = of.among * math.sqrt(2.0 * math.pi) * f.size
-        return Parameter(f.name, part, value, of.starts[0].get(f.name, given), width, low=low, high=f.high)
-    if f.name in {p.name for p in subject.parameters}:
+    part, is_size = of.name if of else "", f.neutral is not None
+    if f.prior:
+        part, is_size, (centre, width) = "", False, f.prior
+    elif of and f.name in of.repeats[:1]:  # every period is equally probable: the normal prior has the same density
+        centre, width, is_size = of.starts[0].get(f.name, given), of.among * math.sqrt(2.0 * math.pi) * f.size, False
+    elif f.name in {p.name for p in subject.parameters}:
         p, stated = subject.declared[f.name], problem.settings.tolerance
         tolerance = stated.get(f.name, TRIAL_TOLERANCE if p.tolerance is None else p.tolerance)
         width = SIGMAS_PER_TOLERANCE * spread_of_base(p, given, tolerance) / MIXTURE[0]
-        return Parameter(f.name, part, value, given, width, is_size=True, low=low, high=f.high)
-    centre = f.neutral if f.neutral is not None and part not in subject.present else given
-    return Parameter(f.name, part, value, centre, f.size, is_size=f.neutral is not None, low=low, high=f.high)
+        centre, is_size = given, True
+    else:
+        centre, width = f.neutral if f.neutral is not None and part not in subject.present else given, f.size
+    low = max(f.low, h.fit.values.get(f.above, f.low))
+    return Parameter(f.name, part, float(h.fit.values[f.name]), centre, width, is_size, low, f.high)
 
 
 def sizes_of(search: Search, h: Hypothesis, c: Candidate) -> list[Parameter]:
@@ -414,11 +413,6 @@ def noise_gains(problem: Problem, f: Fit) -> list[float]:
     smallest = problem.noise.smallest
     without = np.where(np.eye(len(smallest), dtype=bool), smallest, f.noise.power)
     return [problem.score(f.values, replace(f.noise, power=power)).nll - f.nll for power in without]
-
-
-def unknown_input_gain(problem: Problem) -> float:
-    """Return the log-likelihood gain above which an equation has an unknown input: ½ ln N (half of BIC)."""
-    return 0.5 * math.log(max(2, problem.samples))
 
 
 def fit_given_model(problem: Problem, base: Fit, left_out: int | None = None) -> Fit:

@@ -40,8 +40,7 @@ from cosim.refinement.decision.posterior import CERTAIN
 from cosim.refinement.proof.measure import Part, ReplayedLogs
 from cosim.refinement.refinement import Refinement
 from cosim.refinement.search.fits import Hypothesis
-from cosim.refinement.search.missing import contributions, smooth_logs
-from cosim.refinement.search.unnamed import signal_units, signals_of
+from cosim.refinement.search.unnamed import contributions, signal_units, signals_of, smooth_logs
 from cosim.report.charts import Charts, Drawing, Plot
 from cosim.report.panels import Band, Panel, Trace, extent, signal_panel
 from cosim.report.template import Row, command, places, render
@@ -170,7 +169,7 @@ def _repeat(r: Refinement) -> str:
 
 def _provenance(r: Refinement) -> list[Row]:
     """Return table rows with the files of the study and of its results, and versions."""
-    study, subject, claim = r.study, r.study.subject, r.verdict.claimed
+    study, subject = r.study, r.study.subject
     rows = [Row("Study", str(path_from_here(study.path)))] if study.path else []
     rows.append(Row("Model", str(path_from_here(subject.source)), study.content.model if study.path else ""))
     logs = [("Estimation log", log) for log in study.logs]
@@ -180,13 +179,12 @@ def _provenance(r: Refinement) -> list[Row]:
         rows.append(Row(label, str(path_from_here(log.path)), f"{note}\nsha256 {sha256(log.path)}"))
     taken = r.record["inputs"]["taken"].items()
     rows.append(Row("Inputs between rows", ", ".join(f"{n} {way}" for n, way in taken)))
-    labels = ("Refined model", "Refined FMU") if claim else ("Model, unchanged", "FMU, unchanged")
-    licence = f"\ncontains {Path(subject.source).name}: check its licence before you distribute it" * subject.probed
-    for name, label in zip((*REFINED, *NEAREST), (*labels, "Nearest model", "Nearest FMU"), strict=True):
+    for name in (*REFINED, *NEAREST):
         if (file := r.folder / name).is_file():
-            rows.append(Row(label, str(path_from_here(file)), f"sha256 {sha256(file)}{licence}"))
-    is_stated = any(subject.values[n] != float(p.default) for n, p in subject.sensor_parameters.items())
-    if is_stated or any(c.kind == "sensor" for c in (claim.candidates if claim else ())):
+            rows.append(Row("Result", str(path_from_here(file)), f"sha256 {sha256(file)}"))
+    if subject.probed:
+        rows.append(Row("Licence", f"the result contains {Path(subject.source).name}: check its licence"))
+    if any(c.kind == "sensor" for c in (r.verdict.claimed.candidates if r.verdict.claimed else ())):
         place = "refine.json" if subject.probed else "model.yaml"
         rows.append(Row("Sensors", f"sensor errors are in {place}; the FMU computes true outputs, not readings"))
     return [*rows, Row("Made by", f"cosim {__version__}, Python {platform.python_version()}, numpy {np.__version__}")]
@@ -454,7 +452,7 @@ def compare_effects(r: Refinement) -> list[EffectComparison]:
         return [_compare_equation(r, r.verdict.best.fit)] if r.verdict.name == "unexplained" else []
     compared = []
     for c in claim.candidates:
-        if c.kind == "sensor":
+        if c.kind == "sensor" or r.problem.layout.is_free_run:
             continue
         without = r.verdict.base.fit
         if len(claim.candidates) > 1:  # keep the other candidates, so that only this term is missing
@@ -471,7 +469,7 @@ def _compare_equation(r: Refinement, without: Fit, effect: str = "", with_it: Fi
     entry `residual`.
     """
     subject, problem = r.study.subject, r.problem
-    missing = smooth_logs(problem, without, deviations=bool(effect) and problem.layout.is_free_run)
+    missing = smooth_logs(problem, without)
     terms = missing.value
     if with_it is not None:
         terms = np.vstack([contributions(problem, without, with_it, k) for k in range(len(missing.rows))])

@@ -25,7 +25,7 @@ from cosim.estimation.problem import Problem
 from cosim.estimation.screen import Choice, Promise, ScoreTest, Terms
 from cosim.estimation.subject.candidates import Candidate, values_of_special_case
 from cosim.estimation.subject.interface import Subject
-from cosim.refinement.decision.bundle import evidence, held_out_errors, noise_gains, optima, unknown_input_gain
+from cosim.refinement.decision.bundle import evidence, held_out_errors, noise_gains, optima
 from cosim.refinement.decision.posterior import (
     CERTAIN,
     CLEARLY,
@@ -389,7 +389,7 @@ def attribute(subject: Subject, problem: Problem, candidates: Sequence[Candidate
         return float(np.mean(held_out_errors(search, h, h.fit)))
 
     free = Attributor(subject, problem, candidates, progress).run()
-    if not any(gain > unknown_input_gain(problem) for gain in noise_gains(free.problem, free.best.fit)):
+    if not any(gain > problem.price for gain in noise_gains(free.problem, free.best.fit)):
         return free
     progress("predicting without process noise", 0.0)
     given = {h.key: (h, error(free, h)) for h in (free.tried[frozenset()], free.best)}
