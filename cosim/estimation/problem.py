@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -74,19 +75,14 @@ class Scored:
     @property
     def nll(self) -> float:
         """Return the negative log-likelihood ½ Σ (ln 2πs + e²/s); infinite for a diverged filter."""
-        return sum(self.by_log)
+        sums = [float(part.sum()) for part in self.of_each_log(self.terms)]
+        return sum(sums) if np.isfinite(sums).all() else math.inf
 
     @property
     def terms(self) -> Array:
         """Return ½ (ln 2πs + e²/s) of each measurement."""
         with np.errstate(over="ignore", invalid="ignore"):
             return 0.5 * (np.log(2 * np.pi * self.variances) + self.errors**2 / self.variances)
-
-    @property
-    def by_log(self) -> tuple[float, ...]:
-        """Return the NLL of each log."""
-        sums = [float(part.sum()) for part in self.of_each_log(self.terms)]
-        return tuple(v if np.isfinite(v) else np.inf for v in sums)
 
     def of_each_log(self, numbers: Any) -> list[Any]:
         """Return the values of all measurements as a list with one array per log."""

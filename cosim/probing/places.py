@@ -22,7 +22,7 @@ from cosim.model.quantities import Quantity
 from cosim.probing.co_simulation import co_simulation_structure
 from cosim.probing.fmu_structure import Structure
 from cosim.probing.model_exchange import exchange_structure
-from cosim.probing.prober import LIMITS, SAME, Course, Prober, moved, outputs_along, sine_course
+from cosim.probing.prober import LIMITS, SAME, Course, Prober, moved, outputs_along, probing, sine_course
 
 STEP_SEARCH_ROWS = 60  # rows of a simulation
 STEP_DOUBLINGS = 6  # step of the search, relative to the step of the log
@@ -69,7 +69,7 @@ def probe_own_step(
         FmuError: The FMU is invalid or does not load.
         SimulationError: The FMU fails, crashes or hangs at its start with its own parameters.
     """
-    with Prober(fmu, values, limits) as prober:
+    with probing(fmu, values, limits) as prober:
         if "co-simulation" not in ways(prober.description):
             return None
         course = excited_course(prober, Course.of(logs[0]) if logs else sine_course(prober.description))
@@ -184,7 +184,7 @@ def probe_structure(
         FmuError: The FMU is invalid or does not load.
         SimulationError: The FMU fails, crashes or hangs at its start.
     """
-    with Prober(fmu, limits=limits) as prober:
+    with probing(fmu, limits=limits) as prober:
         offered = ways(prober.description)
         chosen = way or ("model-exchange" if "model-exchange" in offered else "co-simulation")
         if chosen not in offered:

@@ -38,7 +38,7 @@ from cosim.probing.fmu_structure import StartValue, Structure
 from cosim.residuals.drive import REPLAY_MODULES, DriveApart
 from cosim.residuals.windows import Replay, start_parameters
 from cosim.terms.catalogue import bound_terms, delay_of, experiments_for, sensor_errors
-from cosim.terms.code import Dependencies, FmuModel, fmu_model, term_code
+from cosim.terms.code import FmuModel, fmu_model, term_code
 from cosim.terms.language import Direction, Force, Opposite, Place, with_place
 
 SUBSTEPS = 8  # steps of co-simulation between rows, for forces that follow the outputs
@@ -313,7 +313,7 @@ def probed_model(structure: Structure, logs: Sequence[Log], terms: Sequence[type
         (named, inputs, named_outputs),
         parameters,
         [*delay, *bound_terms([*_places(s, logs, states)], terms)],
-        dependencies=Dependencies(s.depends[:, : len(s.states)], s.depends[:, len(s.states) :]),
+        dependencies=s.depends,
         rates=rates,
         variables={
             with_place(q.name): q.name for q in (*s.states, *s.inputs, *s.outputs, *(p.quantity for p in s.acting))

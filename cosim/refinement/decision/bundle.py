@@ -435,8 +435,9 @@ def with_intervals(search: Search, h: Hypothesis) -> Hypothesis:
 
     An estimate without one log should differ from the estimate with all logs by N(0, σ₋ₖ² − σ²) (Hausman 1978). The
     variance is multiplied by the ratio of these squared differences to their expectation, if above 1 (Birge 1932). For
-    equally informative logs this is the jackknife; a log without information on a parameter does not widen its
-    interval. A single log is divided into two halves.
+    n logs whose information adds up, the expected sum is at least σ²·n/(n − 1); it can be smaller because each fit
+    estimates its own noise. For equally informative logs this is the jackknife; a log without information on a
+    parameter does not widen its interval. A single log is divided into two halves.
     """
     at_fit = slopes(search.problem, h.fit)
     block, _ = blocks_of_time(at_fit.scored.of_each_log(at_fit.scored.rows))
@@ -447,23 +448,16 @@ def with_intervals(search: Search, h: Hypothesis) -> Hypothesis:
     problem = search.problem if len(search.problem.logs) > 1 else halve_log(search.problem)
     logs = range(len(problem.logs))
     white, fits = replace(f, scattered=None), in_parallel(partial(fit_without, search, problem, h), logs)
-    variances = np.array([0.0 if x.group else _variance_with_logs(white, fits, x.name) for x in f.free])
-    scattered = np.asarray(f.scattered)
-    within = np.diag(scattered)
-    wider = np.sqrt(np.maximum(1.0, np.divide(variances, within, out=np.ones_like(within), where=within > 0.0)))
+    scattered, wider, n = np.asarray(f.scattered), np.ones(count), len(fits)
+    for k, x in enumerate(f.free):
+        if x.group:
+            continue
+        variance, within = white.sigma(x.name) ** 2, scattered[k, k]
+        expected = max(variance * n / (n - 1), sum(max(0.0, each.sigma(x.name) ** 2 - variance) for each in fits))
+        moved = sum((each.values[x.name] - f.values[x.name]) ** 2 for each in fits)
+        if expected > 0.0 and within > 0.0:
+            wider[k] = np.sqrt(max(1.0, variance * moved / expected / within))
     return replace(h, fit=replace(f, scattered=scattered * np.outer(wider, wider)))
-
-
-def _variance_with_logs(f: Fit, fits: Sequence[Fit], name: str) -> float:
-    """Return the variance of an estimate, from its differences to the estimates without each log in turn.
-
-    For n logs whose information adds up, the expected squared differences sum to at least σ²·n/(n − 1). They can be
-    smaller because each fit estimates its own noise; the variance is then at most that of the jackknife.
-    """
-    variance, n = f.sigma(name) ** 2, len(fits)
-    expected = max(variance * n / (n - 1), sum(max(0.0, other.sigma(name) ** 2 - variance) for other in fits))
-    moved = sum((other.values[name] - f.values[name]) ** 2 for other in fits)
-    return variance * moved / expected if expected > 0.0 else 0.0
 
 
 # Observationally equivalent hypotheses, which have equal predictions for every input, so that no experiment can

@@ -253,30 +253,25 @@ def _unexplained_text(c: Claims) -> str:
 def _misfit_text(c: Claims) -> str:
     """Return a phrase on the signals on which the remaining error depends; "" if there are none."""
     where, share, changing = c.residual["equation"], c.residual["share"], [*c.residual["changing"]]
-    if c.residual["signals"]:
-        part = f"{percent(share)} of the" if share and share > 0.0 else "the"
-        return f"{part} remaining error{f' of {where}' if where else ''} {_dependence_text(c)}"
-    return f"the remaining error varies as if {join_names(changing)} changed during each log" if changing else ""
-
-
-def _dependence_text(c: Claims) -> str:
-    """Return a phrase on the dependence of the residual on a signal, from its first term."""
-    signal: str = c.residual["signals"][0]
+    if not c.residual["signals"]:
+        return f"the remaining error varies as if {join_names(changing)} changed during each log" if changing else ""
     first = c.unnamed[0]
-    shape = first.shape
+    signal, shape = first.signal, first.shape
+    part = f"{percent(share)} of the" if share and share > 0.0 else "the"
+    text = f"{part} remaining error{f' of {where}' if where else ''}"
     if shape is None:
-        return "is constant" if signal == "1" else f"follows {signal}"
+        return f"{text} is constant" if signal == "1" else f"{text} follows {signal}"
     if first.like:
-        return f"follows {signal}, as {first.like} would"
+        return f"{text} follows {signal}, as {first.like} would"
     place, width = amount(shape.place, shape.unit), amount(shape.width, shape.unit, 2)
     by = f", times {shape.factor}" if shape.factor else ""
     if shape.kind == "spline":
-        return f"follows {signal}{by}, but no simple law"
+        return f"{text} follows {signal}{by}, but no simple law"
     if shape.kind == "step" and abs(shape.place) < shape.width:
         like = ", as dry friction would" if shape.unit in {"m/s", "rad/s"} and not by else ""
-        return f"follows the sign of {signal}{by}{like}"
+        return f"{text} follows the sign of {signal}{by}{like}"
     ways = {"step": f" and changes at {place}", "wave": f" and repeats every {width}"}
-    return f"follows {signal}{ways.get(shape.kind, f', mainly near {place} (width {width})')}{by}"
+    return f"{text} follows {signal}{ways.get(shape.kind, f', mainly near {place} (width {width})')}{by}"
 
 
 def _remark_texts(c: Claims, remaining: NamedValues) -> Iterator[str]:

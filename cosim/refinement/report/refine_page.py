@@ -31,7 +31,6 @@ from cosim.core.version import __version__
 from cosim.credibility.bands import Coverage
 from cosim.estimation.fit import Fit
 from cosim.estimation.subject.candidates import Free
-from cosim.estimation.subject.interface import Subject
 from cosim.files.files import atomic_write, path_from_here
 from cosim.fmi.building.refined import NEAREST, REFINED
 from cosim.logs.log import NORMAL_95
@@ -476,25 +475,23 @@ def _compare_equation(r: Refinement, without: Fit, effect: str = "", with_it: Fi
     column = int(np.argmax(np.sqrt(np.mean(terms**2, axis=0)) / np.median(missing.sigma, axis=0)))
     if not effect and r.verdict.residual["equation"] in missing.equations:
         column = missing.equations.index(r.verdict.residual["equation"])
-    where = missing.equations[column]
+    where, units, signals = missing.equations[column], signal_units(subject), list[Regressor]()
+    for name, x in signals_of(problem, missing).items():
+        if name in units and name.partition(".")[0] not in subject.present:
+            is_wrapped = units[name] == "rad" and np.ptp(x) > 2.0 * np.pi  # an angle of more than one turn
+            signals.append(Regressor(name, units[name], np.mod(x, 2.0 * np.pi) if is_wrapped else x))
+
+    def variance_within(s: Regressor) -> float:
+        return sum(float(np.var(terms[rows, column])) * rows.size for rows in _bins(s.values))
+
     return EffectComparison(
         effect=effect,
         where=where,
         unit=next((unit_of_rate(q.unit) for q in subject.states if q.name == where), ""),
-        against=_choose(subject, signals_of(problem, missing), terms[:, column]),
+        against=min(signals, key=variance_within),
         estimated=missing.value[:, column],
         term=terms[:, column] if effect else None,
     )
-
-
-def _choose(subject: Subject, signals: Mapping[str, Array], values: Array) -> Regressor:
-    """Return the signal whose bins explain most of the variance of `values`."""
-    units, found = signal_units(subject), []
-    for name, x in signals.items():
-        if name in units and name.partition(".")[0] not in subject.present:
-            is_wrapped = units[name] == "rad" and np.ptp(x) > 2.0 * np.pi  # an angle of more than one turn
-            found.append(Regressor(name, units[name], np.mod(x, 2.0 * np.pi) if is_wrapped else x))
-    return min(found, key=lambda s: sum(float(np.var(values[rows])) * rows.size for rows in _bins(s.values)))
 
 
 def _bins(x: Array) -> list[Rows]:

@@ -459,11 +459,26 @@ def with_likely_periods(
 
 
 def _with_period(test: ScoreTest, c: Candidate) -> Candidate:
-    name, along = c.repeats
+    """Return a candidate that starts at the period with the largest predicted gain.
+
+    Forces with shorter periods than RADIAN standard deviations of the position cannot be estimated.
+    """
+    from scipy.signal import find_peaks  # imported here, since the import takes half a second
+
+    (name, along), problem, layout = c.repeats, test.problem, test.problem.layout
     (period,) = (f for f in c.free if f.name == name)
     sizes = [f for f in c.free if f.neutral is not None]
-    positions, sigma = _along(test, along)
-    low = min(max(period.low, RADIAN * sigma), period.high)
+    places = [layout.states.index(n) for n in (along, DEVIATION + along) if n in layout.states]
+    runs = [problem.run(test.values, test.noise, k) for k in range(len(problem.logs))]
+    positions = [run.states[:, places].sum(axis=1) for run in runs]
+    own = [k for k, place in enumerate(layout.stochastic) if place in places]
+    known = [run.covariances[:, own][:, :, own] for run in runs if run.covariances is not None]
+    variances = [0.0]
+    if known and own:
+        variances.append(float(np.median(np.concatenate(known).sum(axis=(1, 2)))))
+    if along in layout.outputs:
+        variances.append(float(np.exp(test.noise.sensors[layout.outputs.index(along)])))
+    low = min(max(period.low, RADIAN * math.sqrt(max(variances))), period.high)
     travel = float(np.ptp(np.concatenate(positions)))
     if not 0.0 < travel < math.inf:
         return c
@@ -476,7 +491,11 @@ def _with_period(test: ScoreTest, c: Candidate) -> Candidate:
         """Return the period with `cycles` more cycles over the travel."""
         return min(max(1.0 / (1.0 / value + cycles / travel), low), period.high)
 
-    tried = [*(start[name] for start in c.starts), *_lines(test, positions, low, period.high)]
+    frequency, height = spectrum_along([*zip(positions, innovations_of_logs(test), strict=True)], low)
+    height[frequency * period.high < 1.0] = 0.0
+    peaks, _ = find_peaks(height, distance=2 * 2)  # two cycles over the travel
+    strongest = sorted(peaks, key=lambda peak: -height[peak])[:MAX_TESTED_LINES]
+    tried = [*(start[name] for start in c.starts), *(1.0 / float(frequency[peak]) for peak in strongest)]
     near = tried[int(np.argmax(in_parallel(gain, tried)))]
     climb = minimize_scalar(
         lambda cycles: -gain(at(cycles, near)), bounds=(-1.0, 1.0), method="bounded", options={"xatol": DIFFERENCE}
@@ -485,36 +504,6 @@ def _with_period(test: ScoreTest, c: Candidate) -> Candidate:
     size = best**2 / (RADIAN * travel)  # changes the phase over the travel by 1 rad
     free = tuple(replace(f, low=low, size=size) if f.name == name else f for f in c.free)
     return replace(c, free=free, among=max(1, round(travel / low)), starts=({**c.starts[0], name: best},))
-
-
-def _along(test: ScoreTest, name: str) -> tuple[list[Array], float]:
-    """Return the filtered position in the rows of each log, and its standard deviation.
-
-    The standard deviation is that of the sensor or, if larger, of the filtered state. Forces with shorter periods
-    cannot be estimated.
-    """
-    problem, layout = test.problem, test.problem.layout
-    places = [layout.states.index(n) for n in (name, DEVIATION + name) if n in layout.states]
-    runs = [problem.run(test.values, test.noise, k) for k in range(len(problem.logs))]
-    own = [k for k, place in enumerate(layout.stochastic) if place in places]
-    known = [run.covariances[:, own][:, :, own] for run in runs if run.covariances is not None]
-    variances = [0.0]
-    if known and own:
-        variances.append(float(np.median(np.concatenate(known).sum(axis=(1, 2)))))
-    if name in layout.outputs:
-        variances.append(float(np.exp(test.noise.sensors[layout.outputs.index(name)])))
-    return [run.states[:, places].sum(axis=1) for run in runs], math.sqrt(max(variances))
-
-
-def _lines(test: ScoreTest, positions: Sequence[Array], low: float, high: float) -> Iterator[float]:
-    """Yield the periods of the strongest lines in the spectrum of the innovations along the position."""
-    from scipy.signal import find_peaks  # imported here, since the import takes half a second
-
-    frequency, height = spectrum_along([*zip(positions, innovations_of_logs(test), strict=True)], low)
-    height[frequency * high < 1.0] = 0.0
-    peaks, _ = find_peaks(height, distance=2 * 2)  # two cycles over the travel
-    strongest = sorted(peaks, key=lambda peak: -height[peak])[:MAX_TESTED_LINES]
-    yield from (1.0 / float(frequency[peak]) for peak in strongest)
 
 
 def innovations_of_logs(test: ScoreTest) -> list[Array]:
@@ -621,22 +610,16 @@ def smooth_logs(problem: Problem, base: Fit) -> MissingInput:
                 ahead = np.einsum("kij,kj->ki", F, x)
             else:
                 ahead, F = _linear(problem, base.values, index, run, count)
-            x, P = _smooth(x, run.covariances[:count], ahead, F, np.diag(problem.densities(noise)) * data.step)
+            x, P, Q = x.copy(), run.covariances[:count].copy(), np.diag(problem.densities(noise)) * data.step
+            for k in range(count - 2, -1, -1):
+                spread = F[k] @ P[k] @ F[k].T + Q
+                gain = least_squares(spread, F[k] @ P[k]).T
+                x[k] += gain @ (x[k + 1] - ahead[k])
+                P[k] += gain @ (P[k + 1] - spread) @ gain.T
             sigma = np.sqrt(np.maximum(np.diagonal(P, axis1=1, axis2=2)[:, places], 0.0))
         found.append((scored, data.times[scored], x[scored, places], sigma[scored], run.states[scored]))
     rows, *parts = zip(*found, strict=True)
     return MissingInput(layout.forced, rows, *map(np.concatenate, parts))
-
-
-def _smooth(x: Array, P: Array, ahead: Array, F: Array, Q: Array) -> tuple[Array, Array]:
-    """Return smoothed states and covariances, from filtered ones, their predictions and transition matrices."""
-    x, P = x.copy(), P.copy()
-    for k in range(len(x) - 2, -1, -1):
-        spread = F[k] @ P[k] @ F[k].T + Q
-        gain = least_squares(spread, F[k] @ P[k]).T
-        x[k] += gain @ (x[k + 1] - ahead[k])
-        P[k] += gain @ (P[k + 1] - spread) @ gain.T
-    return x, P
 
 
 def _transitions_of_deviations(problem: Problem, values: NamedValues, noise: Noise, index: int) -> Array:
