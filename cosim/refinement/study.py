@@ -521,9 +521,6 @@ def _per_log_faults(places: Places, content: StudyFile, subject: Subject) -> Ite
 # What `cosim refine` can find with the logs of a study, and what it cannot find.
 
 
-FEWEST_STEPPED = 2  # least estimation logs of a co-simulation FMU, inside which there is no process noise
-
-
 def check_study(path: Path, checking: Checking) -> list[str]:
     """Return the warnings of a study, and notes on what a refinement can find in its FMU.
 
@@ -541,17 +538,11 @@ def check_study(path: Path, checking: Checking) -> list[str]:
     study = read_study(path)
     found = [f"warning: {text}" for text in study.warnings]
     found += [Note(f"not tested: {text}") for text in untested_effects(study)]
-    if not isinstance(study.subject, FmuSubject):
-        return found
-    subject = study.subject
-    s, count = subject.structure, len(subject.candidates([q.name for q in subject.inputs]))
-    way, places = subject.source.removeprefix(f"{s.fmu}, "), f"the places that `cosim info --places {s.fmu.name}` lists"
-    found.append(Note(f"`cosim refine` will use {way}, and try {count} terms and parameters at {places}"))
-    if subject.is_stepped and len({log.path for log in study.logs}) < FEWEST_STEPPED:
-        found.append(
-            f"warning: co-simulation can only simulate whole logs, so a claim needs at least {FEWEST_STEPPED} "
-            "estimation logs"
-        )
+    if isinstance(subject := study.subject, FmuSubject):
+        s, count = subject.structure, len(subject.candidates([q.name for q in subject.inputs]))
+        way = subject.source.removeprefix(f"{s.fmu}, ")
+        places = f"the places that `cosim info --places {s.fmu.name}` lists"
+        found.append(Note(f"`cosim refine` will use {way}, and try {count} terms and parameters at {places}"))
     return found
 
 

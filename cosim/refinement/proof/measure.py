@@ -241,8 +241,16 @@ class LogReplays:
         """Return the errors of replays against a simulation with random noise and random deviations of start states."""
         problem, noise, data, rows = self.problem, self.variant.noise, self.data, self.rows
         errors = rng.standard_normal(data.y.shape) * np.sqrt(problem.variances(noise, self.index))
-        if problem.layout.is_free_run:
-            errors += self._random_deviations(rng)
+        if problem.layout.is_free_run:  # deviations of the outputs, driven by the fitted unknown inputs
+            propagation = problem.kernel.responses(data, problem.x0[self.index])[1]  # type: ignore[attr-defined]
+            fades = math.exp(-data.step / math.exp(noise.memory))
+            inputs = rng.standard_normal(data.y.shape) * np.exp(0.5 * noise.power)
+            deviations = np.zeros((len(inputs) + 1, inputs.shape[1]))  # one more row, for the row before the first
+            for k in range(1, len(inputs)):
+                both = np.concatenate([deviations[k], deviations[k - 1]])
+                deviations[k + 1] = propagation @ both + data.step * inputs[k - 1]
+                inputs[k] = fades * inputs[k - 1] + math.sqrt(1.0 - fades**2) * inputs[k]
+            errors += deviations[1:]
         else:
             layout, starts = problem.layout, self.filtered.states.copy()
             if self.filtered.covariances is not None:
@@ -260,19 +268,6 @@ class LogReplays:
                 errors += self._simulate({**self.variant.values, **memory}, starts, kicks) - self.predicted
         errors = np.where(np.isnan(data.y), np.nan, errors) / self.gains
         return dict(zip(problem.layout.outputs, errors.T, strict=True))
-
-    def _random_deviations(self, rng: np.random.Generator) -> Array:
-        """Return random deviations of the outputs of a free run, driven by the fitted unknown inputs."""
-        noise, data, kernel = self.variant.noise, self.data, self.problem.kernel
-        propagation = kernel.responses(data, self.problem.x0[self.index])[1]  # type: ignore[attr-defined]
-        fades = math.exp(-data.step / math.exp(noise.memory))
-        inputs = rng.standard_normal(data.y.shape) * np.exp(0.5 * noise.power)
-        deviations = np.zeros((len(inputs) + 1, inputs.shape[1]))  # one more row, for the row before the first
-        for k in range(1, len(inputs)):
-            both = np.concatenate([deviations[k], deviations[k - 1]])
-            deviations[k + 1] = propagation @ both + data.step * inputs[k - 1]
-            inputs[k] = fades * inputs[k - 1] + math.sqrt(1.0 - fades**2) * inputs[k]
-        return deviations[1:]
 
     def _simulate(self, values: NamedValues, starts: Mapping[int, Array] | Array, kicks: Array | None = None) -> Array:
         """Return outputs of simulations from given states; infinite where they diverge, NaN in other rows."""
