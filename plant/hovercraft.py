@@ -94,15 +94,6 @@ TOLD_APART_BY = {
     frozenset({"camera_latency", "actuator_delay"}): "speed, and the acceleration logged beside the position",
     frozenset({"thrust_slope", "mass", "izz"}): "the duty of both motors varied by a few tenths of a percent",
 }
-DRAWN_AGAINST = {
-    **dict.fromkeys(("coulomb_friction", "stribeck_friction", "quadratic_drag", "friction"), ("vx", "vy")),
-    **dict.fromkeys(("yaw_damping", "yaw_coulomb_friction"), ("psi_dot",)),
-    **dict.fromkeys(("battery_sag", "accelerometer_drift", "gyro_drift"), ("time",)),
-    "accelerometer_lever_arm": ("psi_dot",),
-    "magnetometer_disturbance": ("thrust_right",),
-    "table_tilt": ("psi",),
-    "coriolis": ("psi_dot · vx", "psi_dot · vy"),
-}
 
 
 @frozen
@@ -115,7 +106,7 @@ class Hovercraft(Model):
     forced = ("vx", "vy", "psi_dot")
     calibrated = ("mass", "izz", "friction", "lag")
     suspect = {"thrust_slope": ("duty_right", "duty_left")}  # noqa: RUF012 - a ClassVar of the base
-    told_apart_by, drawn_against = TOLD_APART_BY, DRAWN_AGAINST
+    told_apart_by = TOLD_APART_BY
     measured, excursion, planar, valid = MEASURED_OUTPUTS, EXCURSION, PLANAR, (DUTY_FITTED,)  # eq 4.20
 
     mass: float = bounded(0.705, "kg", (0.05, 20), "vehicle mass, §5.2")

@@ -23,7 +23,6 @@ from tests.logs import write_log
 
 STEP, ROWS, NOISE = 0.02, 900, 5e-4
 UNITS = {"time": "s", "place": "m", "speed": "m/s", "command force": "N"}
-PRICE = 4.0
 Push = Callable[[float, float, float], float]
 
 
@@ -69,7 +68,7 @@ def left(folder: Path, push: Push, shown: Callable[[Array], Array] = np.array, b
         logs.append(read_log(path, Block.inputs, Block.outputs))
     problem = build_problem(ModelSubject.of(block), logs, unnamed=True)
     at = Search(ModelSubject.of(block), problem, 1, lambda stage, share: None).hypothesis((), None).fit
-    return find_unnamed_terms(replace(problem, sensing=at.noise), at, PRICE, UNITS)
+    return find_unnamed_terms(replace(problem, sensing=at.noise), at, UNITS)
 
 
 @pytest.mark.thorough

@@ -16,8 +16,7 @@ from cosim.fmi.building.file import own_model
 from cosim.model import Stepper
 from cosim.refinement.decision.claims import sentence
 from cosim.refinement.refinement import Refinement
-from cosim.refinement.report.refine_page import compare_effects, innovations, write_refine_report
-from cosim.report.charts import Charts
+from cosim.refinement.report.refine_page import compare_effects, write_refine_report
 from cosim.residuals.residual_statistics import remaining_excess
 from cosim.verbs.checks import schema_of
 from tests.logs import times, write_log
@@ -110,13 +109,6 @@ def test_the_claimed_term_is_the_force_over_the_mass_and_the_data_show_it_to_one
     assert found.share > 0.8
 
 
-def test_innovations_are_coloured_before_and_white_after(cart: Refinement) -> None:
-    (row,) = innovations(cart, Charts())
-    assert row["white"] == ["no", "yes"]
-    assert float(row["size"][0]) > 1.5
-    assert float(row["size"][1]) == pytest.approx(1.0, abs=0.1)  # 1100 samples: standard error 0.02
-
-
 @pytest.mark.parametrize(
     ("name", "rivals", "tone", "verb"),
     [
@@ -137,7 +129,7 @@ def test_every_verdict_has_its_word_its_tone_and_a_command_that_goes_on(
         claims = replace(claims, claimed=None, nearest=claims.best)
     rivalry = {"rivals": list(rivals), "experiment": "push harder" if rivals else ""}
     verdict = replace(claims, decision=decision, experiment="push harder" if rivals else "")
-    said = sentence(verdict, cart.study.subject, {}, {"s": 0.5}, is_written=True)
+    said = sentence(verdict, cart.study.subject, {}, {"s": 0.5})
     answer, more = said.split(". ", 1)
     assert len(answer.split()) <= 25
     record = {**cart.record, **rivalry, "verdict": name, "sentence": said, "untested": ["leaks"]}

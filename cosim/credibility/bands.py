@@ -87,18 +87,12 @@ def band_horizons(durations: Sequence[float], first: float) -> list[float]:
     Args:
         durations: Time of each log that replays can cover [s].
     """
-    longest = max(
-        (d / n for d in durations for n in range(1, MIN_REPLAYS + 1) if _count(durations, d / n) >= MIN_REPLAYS),
-        default=0,
-    )
+    ends = (d / n for d in durations for n in range(1, MIN_REPLAYS + 1))
+    longest = max((h for h in ends if sum(int(d / h + 1e-9) for d in durations) >= MIN_REPLAYS), default=0)
     if longest < first:
         return []
     count = 1 + math.ceil(math.log(longest / first) / math.log(MAX_HORIZON_RATIO) - 1e-9)
     return [float(f"{h:.4g}") for h in np.geomspace(first, longest * (1.0 - 1e-3), max(1, count))]
-
-
-def _count(durations: Sequence[float], horizon: float) -> int:
-    return sum(int(d / horizon + 1e-9) for d in durations)
 
 
 class Bands(BaseModel):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from itertools import islice, pairwise
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +14,6 @@ from cosim.report.panels import Panel, Trace, axis_unit
 from cosim.report.template import Row, render
 
 TEMPLATE = Path(__file__).with_name("templates") / "credibility.html.j2"
-MOST_PAIRS = 6  # pairs of coordinates with a chart
 ESTIMATE_DIGITS = 6  # of estimates and intervals
 
 
@@ -29,7 +27,6 @@ def write_page(fmu: Path) -> Path:
         "problem": problem,
         "badges": [record.verdict, counted(len(record.logs), "log"), f"by {record.command}"],
         "bands": [_band_plot(record, name, charts) for name in record.bands.widths],
-        "pairs": _pair_plots(record, charts),
         "coordinates": [
             (c.name, c.kind, amount(c.low, c.unit, 4), amount(c.high, c.unit, 4)) for c in region.coordinates
         ],
@@ -63,18 +60,3 @@ def _band_plot(record: Credibility, name: str, charts: Charts) -> Plot:
     panel = Panel(f"Error of {name}", axis_unit(bands.units.get(name, "")), [trace])
     largest = 1.08 * float(np.nanmax(widths))
     return charts.alone(panel, (0.0, float(ends[-1])), ("time since the start", "s"), reach=(0.0, largest))
-
-
-def _pair_plots(record: Credibility, charts: Charts) -> list[Plot]:
-    """Draw the points of the region over pairs of neighbouring coordinates."""
-    region, plots = record.region, []
-    moved = [k for k, c in enumerate(region.coordinates) if not c.is_constant]
-    points = np.array(region.points)
-    for a, b in islice(pairwise(moved), MOST_PAIRS):
-        x, y = (region.coordinates[k] for k in (a, b))
-        order = np.argsort(points[:, a], kind="stable")
-        along, up = (c.low + c.scale * points[order, k] for c, k in ((x, a), (y, b)))
-        trace = Trace("points of the logs", up, "s0 dots", x=along)
-        panel = Panel(f"{y.name} over {x.name}", axis_unit(y.unit), [trace])
-        plots.append(charts.points(panel, (x.low, x.high), (x.name, axis_unit(x.unit)), {}))
-    return plots

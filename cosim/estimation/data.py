@@ -152,17 +152,17 @@ def _resolution(column: Array) -> float:
 # Readings of sensors that depend on past values of their output: latency and lag.
 
 
-def past_reading(sensor: Any, time: Array, values: Array, measured: Array | None = None) -> Array:
+def past_reading(sensor: Any, time: Array, values: Array, measured: Array) -> Array:
     """Return the readings of a sensor with latency or lag over time; NaN where they are unknown.
 
     Args:
         sensor: Latency or lag with its value [s].
         time, values: True output over time [s]; values may begin with NaN.
-        measured: Measured readings. A lag continues from the reading before the first value, if there is one.
+        measured: Measured readings, from which a lag continues.
     """
     if sensor.late:
         return np.asarray(np.interp(time - sensor.value, time, values, left=np.nan))
-    return lagged(time, values, sensor.value) if measured is None else replayed(time, values, sensor.value, measured)
+    return replayed(time, values, sensor.value, measured)
 
 
 def replayed(time: Array, values: Array, constant: float, measured: Array) -> Array:

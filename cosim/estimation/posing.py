@@ -19,8 +19,6 @@ from cosim.estimation.kernel.kernel import (
     DEVIATION,
     DISTURBANCE,
     EARLIER,
-    Begin,
-    simulate_all,
 )
 from cosim.estimation.problem import WITHIN, Noise, Origin, Problem, Settings
 from cosim.estimation.subject.candidates import Free, own, spread_of_base, usual_size
@@ -31,10 +29,6 @@ MOST_DOUBLINGS = 8  # of the substeps of a fit
 MAX_SEARCH_SUBSTEPS = 2  # steps of co-simulation between rows while a search ranks candidates
 # allowed NLL change by fewer substeps, absolute and relative to the NLL of a wrong model
 SUBSTEP_NLL_TOLERANCE, SUBSTEP_NLL_SHARE = 0.5, 1e-5
-MAX_ERROR_GROWTH = 10.0  # growth of a start error within a shortened horizon; a horizon is too long if it happens twice
-EXPONENTIAL = 5.0  # growth over the second half of a time, from which growth is exponential; quadratic growth has 4
-STARTS_PER_STATE = 8  # simulations per log and state
-STATE_DISPLACEMENT = float(np.sqrt(np.finfo(float).eps))  # of a state, as a share of its standard deviation
 NO_SETTINGS = Settings()
 USUAL_MEMORY = 0.15  # [s] default correlation time of an unknown input, longer than a few rows
 
@@ -180,45 +174,6 @@ def with_finer_steps(problem: Problem, values: NamedValues, noise: Noise) -> Pro
             break
         problem = finer
     return problem
-
-
-def predictable_horizon(problem: Problem, horizon: float) -> float:
-    """Return the horizon [s], shortened if errors of start states grow exponentially and more than hundredfold.
-
-    On an unstable or chaotic plant, a small error of the start state grows exponentially. Later predictions depend on
-    the start more than on the model. The growth is measured on the logs: the given model is simulated from filtered
-    states and from slightly different ones. The shortened horizon is the time in which errors, in standard deviations
-    of each signal, grow tenfold: the median over starts and logs. Free runs are not shortened.
-    """
-    layout, values, curves = problem.layout, problem.values, list[Array]()
-    if layout.is_free_run or not layout.states:
-        return horizon
-    noise = initial_fit(problem).noise
-    for index, log in enumerate(problem.logs):
-        data, first, run = problem.data(values, index), count_unscored(log), problem.run(values, noise, index)
-        length = int(min(round(min(horizon, len(data.u) * data.step) / data.step), len(data.u) - first - 1))
-        spreads, added = np.std(run.states[first:], axis=0), (DISTURBANCE, CONSTANT_PREFIX)
-        moving = [k for k, name in enumerate(layout.states) if spreads[k] > 0.0 and not name.startswith(added)]
-        if length < 2 or not moving or not np.isfinite(spreads).all():
-            continue
-        spread, p = problem.readings[index].spread, problem.parameters(values, index)
-        steps = np.vstack([np.zeros(len(spreads)), np.diag(STATE_DISPLACEMENT * spreads)[moving]])
-        for row in np.unique(np.linspace(first, len(data.u) - 1 - length, STARTS_PER_STATE).astype(int)).tolist():
-            start, part = problem.drop_unknown_inputs(run.states[row]), data.rows(row, row + length + 1)
-            begins: list[Begin] = [(part, p, start + step, run.memory[row], None, 0) for step in steps]
-            with np.errstate(over="ignore", invalid="ignore"):
-                outputs = np.array([each.outputs for each in simulate_all(problem.kernel, begins)])
-                outputs /= np.where(spread > 0.0, spread, np.inf)
-                apart = np.linalg.norm(outputs[1:] - outputs[0], axis=2) / STATE_DISPLACEMENT
-            curves.append(np.nan_to_num(apart, nan=np.inf, posinf=np.inf).max(axis=0))
-    rows = min(map(len, curves), default=0)
-    growth = np.maximum.accumulate(np.median([curve[:rows] for curve in curves], axis=0)) if rows else np.zeros(1)
-    is_far = (growth > MAX_ERROR_GROWTH**2) & (growth > EXPONENTIAL * growth[np.arange(len(growth)) // 2])
-    return (
-        min(horizon, max(2, int(np.argmax(growth > MAX_ERROR_GROWTH))) * problem.logs[0].step)
-        if is_far.any()
-        else horizon
-    )
 
 
 def halve_log(problem: Problem) -> Problem:
@@ -392,19 +347,6 @@ def noise_warnings(problem: Problem, noise: Noise, subject: Subject) -> tuple[st
             "fast therefore have less weight; record with a better clock to avoid this"
         )
     return tuple(warnings)
-
-
-def cell_warnings(problem: Problem, subject: Subject) -> tuple[str, ...]:
-    """Return a warning about quantised readings, if there are any."""
-    finest = np.max([r.resolution for r in problem.readings], axis=0)
-    units = {q.name: written(q.unit) for q in subject.outputs}
-    pairs = zip(problem.layout.outputs, finest.tolist(), strict=True)
-    cells = [f"{name} in steps of {plain(cell)} {units[name]}".rstrip() for name, cell in pairs if cell > 0.0]
-    text = (
-        f"the readings are quantized: {join_names(cells)}. Their noise is assumed to be at least the step divided "
-        "by √12; quantization is not tried as a sensor error"
-    )
-    return (text,) if cells else ()
 
 
 def _line(levels: NamedValues) -> str:

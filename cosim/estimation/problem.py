@@ -75,19 +75,14 @@ class Scored:
     @property
     def nll(self) -> float:
         """Return the negative log-likelihood ½ Σ (ln 2πs + e²/s); infinite for a diverged filter."""
-        return sum(self.by_log)
+        sums = [float(part.sum()) for part in self.of_each_log(self.terms)]
+        return sum(sums) if np.isfinite(sums).all() else math.inf
 
     @property
     def terms(self) -> Array:
         """Return ½ (ln 2πs + e²/s) of each measurement."""
         with np.errstate(over="ignore", invalid="ignore"):
             return 0.5 * (np.log(2 * np.pi * self.variances) + self.errors**2 / self.variances)
-
-    @property
-    def by_log(self) -> tuple[float, ...]:
-        """Return the NLL of each log."""
-        sums = [float(part.sum()) for part in self.of_each_log(self.terms)]
-        return tuple(v if np.isfinite(v) else np.inf for v in sums)
 
     def of_each_log(self, numbers: Any) -> list[Any]:
         """Return the values of all measurements as a list with one array per log."""
@@ -138,6 +133,11 @@ class Problem:
     def samples(self) -> int:
         """Return the number of measurements in the likelihood."""
         return int(sum(readings.scored.sum() for readings in self.readings))
+
+    @property
+    def price(self) -> float:
+        """Return ½ ln N, half of BIC: the log-likelihood gain that pays for a parameter."""
+        return 0.5 * float(np.log(max(2, self.samples)))
 
     @property
     def noise(self) -> NoiseRange:
@@ -435,16 +435,14 @@ class Problem:
             points: Rows, with the state and the memory at each.
             length: Number of rows after the first.
         """
-        log, p, delay = self.logs[index], self.parameters(values, index), self.layout.delay
+        log, p = self.logs[index], self.parameters(values, index)
         at_once: Any = getattr(self.kernel, "simulate_from", None)  # kernels of other objects may lack this method
         if at_once:
             return list(at_once(log, p, points, length))
         runs = list[Simulated]()
-        back = 2 + math.ceil(p[delay] / log.step if delay >= 0 else 0.0)  # earlier rows that may act
         for row, state, memory in zip(*points, strict=True):
-            k = min(row, back)
-            run = self.kernel.simulate(log.rows(row - k, row + length + 1), p, state, memory, first=k)
-            runs.append(Simulated(run.outputs[k:], run.states[k:], run.memory[k:]))
+            run = self.kernel.simulate(log.rows(0, row + length + 1), p, state, memory, first=row)
+            runs.append(Simulated(run.outputs[row:], run.states[row:], run.memory[row:]))
         return runs
 
     def score(self, values: NamedValues, noise: Noise, only: Sequence[int] | None = None) -> Scored:

@@ -164,7 +164,6 @@ class Model(Parametric):
     # parameter → inputs that must vary in the logs for identifiability
     suspect: ClassVar[Mapping[str, tuple[str, ...]]] = {}
     told_apart_by: ClassVar[Mapping[frozenset[str], str]] = {}  # hypotheses → experiment that separates them
-    drawn_against: ClassVar[Mapping[str, tuple[str, ...]]] = {}  # effect or parameter → signals for plots
     measured: ClassVar[tuple[str, ...]] = ()  # outputs that logs usually have; default: outputs in `sensor_variance`
     excursion: ClassVar[Mapping[str, float]] = {}  # signal → allowed deviation from its start in an experiment
     valid: ClassVar[tuple[Validity, ...]] = ()  # ranges of validity; the model warns once per range

@@ -21,8 +21,8 @@ from cosim.probing.prober import (
     SAME,
     Course,
     Fmu,
-    Prober,
     outputs_along,
+    probing,
     put_row,
     run_along,
     sine_course,
@@ -37,7 +37,7 @@ def misbehaviour(fmu: Path) -> Iterator[str]:
 
     For an FMU that fails at its start, nothing is yielded.
     """
-    with Prober(fmu) as prober:
+    with probing(fmu) as prober:
         way, *_ = ways(prober.description)
         if prober.description.fmiVersion.startswith("1"):
             return
@@ -51,7 +51,7 @@ def misbehaviour(fmu: Path) -> Iterator[str]:
             return
         trials: dict[str, tuple[Any, ...]] = {
             "a second simulation": (outputs_again,),
-            "a simulation in another working directory": (outputs_in, str(prober.place)),
+            "a simulation in another working directory": (outputs_in, str(prober.fmu.place)),
             "a simulation after a reset": (outputs_after_reset,),
         }
         part = prober.description.coSimulation

@@ -62,7 +62,8 @@ def exchange_structure(prober: Prober, courses: Sequence[Course]) -> Structure:
     depends = points.depends
     pairs = _pairs(names, known, table, points)
     has_events = any(run.events.total for run in runs)
-    parameters = _parameters(prober, courses[0], points, has_events)
+    places = points.places[:: points.spacing(PARAMETER_POINTS)]
+    parameters = tried_parameters(prober, lambda fmu: prober.call(reactions, fmu, courses[0], places), points.size)
     is_single = prober.description.modelExchange.canBeInstantiatedOnlyOncePerProcess
     # states outside pairs whose derivative depends on an input or another state
     paired = {name for pair in pairs for name in (pair.position, pair.velocity)}
@@ -105,14 +106,12 @@ def _points(prober: Prober, courses: Sequence[Course], runs: Sequence[Run]) -> t
     signals = quantities(prober.description, (*states, *inputs), known[0])
     low, high = (np.array([q.bounds[end] for q in signals]) for end in (0, 1))
     points = Points(scale, size, np.zeros((values.shape[1], known.shape[1]), bool), low, high)
-    reals_only = all(name in inputs for course in courses for name in course.inputs)
     share = max(2, LOG_POINTS // max(1, len(good)))
     for course, run in zip(courses, runs, strict=True):
         if not run.time.size:
             continue
         rows = sorted({int(k) for k in np.linspace(0, run.time.size - 1, share)})
-        replayed = run if reals_only and not run.events.total else None
-        points = prober.call(evaluated, prober.fmu, course, rows, points, replayed)
+        points = prober.call(evaluated, prober.fmu, course, rows, points)
     rates = [f"der({name})" for name in states]
     columns = (*states, *inputs, *rates, *outputs)
     return points, dict(zip(columns, map(float, (*spread, *spreads)), strict=True))
@@ -163,26 +162,6 @@ def _connections(
         gear = float(-spring / usual[v, q]) if is_alone and spring > 0.0 else 1.0
         deflection, speed = (float(np.std(along[:, a] - gear * along[:, b])) for a, b in ((q, r), (v, w)))
         yield Connection(first, second, gear, gear * ratio, spring / gear, damper / gear, deflection, speed)
-
-
-def _parameters(prober: Prober, course: Course, points: Points, has_events: bool) -> tuple[ProbedParameter, ...]:
-    """Return each settable parameter with its effects at points or, if there are events, along a simulation."""
-    places = points.places[:: points.spacing(PARAMETER_POINTS)]
-    tried = tried_parameters(prober, lambda fmu: prober.call(reactions, fmu, course, places), points.size)
-    if not has_events:
-        return tried
-    base: Run = prober.call(simulate, prober.fmu, course)
-    found = []
-    for p in tried:
-        if not (p.acts or p.starts):  # with events, a parameter may have further effects along a simulation
-            try:
-                run: Run = prober.call(simulate, prober.with_values({p.name: p.tried}), course)
-                same = run.values.shape == base.values.shape and np.allclose(run.values, base.values, SAME, 0.0)
-                p = replace(p, acts=not same)
-            except SimulationError as error:
-                p = replace(p, failure=str(error))
-        found.append(p)
-    return tuple(found)
 
 
 # Dependencies, derivatives and equalities of an FMU for model exchange, from evaluations near points of its
@@ -302,21 +281,9 @@ def equal_columns(known: Array, values: Array) -> dict[int, int]:
     return equal
 
 
-def evaluated(fmu: Fmu, course: Course, rows: Sequence[int], points: Points, run: Run | None) -> Points:
-    """Return the points, extended by evaluations at rows of a simulation.
-
-    Args:
-        run: Finished simulation, whose points are set in the FMU; None to simulate again, which is necessary with
-            events.
-    """
-    if run is None:
-        simulate(fmu, course, points.add, rows)
-        return points
-    with fmu.opened(course) as (block, _):
-        block.start()
-        for k in rows:
-            x = block.move(float(run.time[k]), run.states[k], run.inputs[k])
-            points.add(block, float(run.time[k]), x, run.inputs[k])
+def evaluated(fmu: Fmu, course: Course, rows: Sequence[int], points: Points) -> Points:
+    """Return the points, extended by evaluations at rows of a simulation."""
+    simulate(fmu, course, points.add, rows)
     return points
 
 

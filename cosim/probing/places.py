@@ -22,7 +22,7 @@ from cosim.model.quantities import Quantity
 from cosim.probing.co_simulation import co_simulation_structure
 from cosim.probing.fmu_structure import Structure
 from cosim.probing.model_exchange import exchange_structure
-from cosim.probing.prober import LIMITS, SAME, Course, Prober, moved, outputs_along, sine_course
+from cosim.probing.prober import LIMITS, SAME, Course, Prober, moved, outputs_along, probing, sine_course
 
 STEP_SEARCH_ROWS = 60  # rows of a simulation
 STEP_DOUBLINGS = 6  # step of the search, relative to the step of the log
@@ -69,7 +69,7 @@ def probe_own_step(
         FmuError: The FMU is invalid or does not load.
         SimulationError: The FMU fails, crashes or hangs at its start with its own parameters.
     """
-    with Prober(fmu, values, limits) as prober:
+    with probing(fmu, values, limits) as prober:
         if "co-simulation" not in ways(prober.description):
             return None
         course = excited_course(prober, Course.of(logs[0]) if logs else sine_course(prober.description))
@@ -142,16 +142,9 @@ class Places:
 
     @property
     def findings(self) -> tuple[str, ...]:
-        """Return sentences on an internal step, on failures, and on damping parameters that could not be used."""
+        """Return sentences on an internal step and on failures."""
         stops = [f"{stop}; the structure was measured before this" for stop in self.structure.stops]
-        lost = [
-            f"forces at {d.pair.velocity} are tried only through an input or on its derivative: how they change other "
-            f"derivatives could be measured with the damping parameter {d.parameter}, but a second instance cannot be "
-            "synchronized (events occur, or only one instance per process is allowed)"
-            for d in self.structure.directions
-            if not d.in_step
-        ]
-        return (*([self.own_step.finding] if self.own_step else []), *lost, *stops)
+        return (*([self.own_step.finding] if self.own_step else []), *stops)
 
     def as_json(self) -> dict[str, Any]:
         """Return the places as JSON types."""
@@ -191,7 +184,7 @@ def probe_structure(
         FmuError: The FMU is invalid or does not load.
         SimulationError: The FMU fails, crashes or hangs at its start.
     """
-    with Prober(fmu, limits=limits) as prober:
+    with probing(fmu, limits=limits) as prober:
         offered = ways(prober.description)
         chosen = way or ("model-exchange" if "model-exchange" in offered else "co-simulation")
         if chosen not in offered:

@@ -6,11 +6,11 @@ import ctypes
 import math
 import time
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from contextlib import ExitStack, closing, contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 
@@ -346,35 +346,32 @@ USUAL_STEP, USUAL_LOAD = 5.0, 10.0  # minimum time limits of a trial [s]
 MAX_TRIAL_DURATIONS = 30.0  # time limit of a trial, as a multiple of the duration of an ordinary simulation
 
 
-class Prober(ExitStack):
-    """An unpacked FMU and the worker process that simulates it, as a context manager.
+@dataclass(eq=False)
+class Prober:
+    """An unpacked FMU, and the worker process that simulates it.
 
-    Args:
-        values: Start values of every instance.
+    Attributes:
+        fmu: The FMU with the start values of every instance.
         limits: Limits of every job.
     """
 
-    def __init__(self, fmu: Path, values: Mapping[str, Any] = MappingProxyType({}), limits: Limits = LIMITS) -> None:
-        super().__init__()
-        self.path = Path(fmu).resolve()
-        self.description, self._values, self._limits = read_description(self.path), dict(values), limits
+    fmu: Fmu
+    worker: Worker
+    limits: Limits
 
-    def __enter__(self) -> Self:
-        with ExitStack() as stack:
-            self.place = stack.enter_context(temporary_folder("probe"))
-            self._worker = stack.enter_context(Worker(*PROBER_MODULES))
-            unpack(self.path, self.place)
-            self.enter_context(stack.pop_all())
-        return self
+    @property
+    def path(self) -> Path:
+        """Return the path of the FMU."""
+        return self.fmu.path
+
+    @property
+    def description(self) -> Any:
+        """Return the description of the FMU."""
+        return self.fmu.description
 
     def with_values(self, values: Mapping[str, Any]) -> Fmu:
         """Return the FMU with additional start values."""
-        return Fmu(self.path, self.place, self.description, {**self._values, **values})
-
-    @property
-    def fmu(self) -> Fmu:
-        """Return the FMU with its start values."""
-        return self.with_values({})
+        return replace(self.fmu, values={**self.fmu.values, **values})
 
     @contextmanager
     def hurry(self, took: float) -> Iterator[None]:
@@ -383,19 +380,34 @@ class Prober(ExitStack):
         Args:
             took: Duration of an ordinary simulation [s].
         """
-        usual = self._limits
+        usual = self.limits
         step, load = max(USUAL_STEP, MAX_TRIAL_DURATIONS * took), max(USUAL_LOAD, MAX_TRIAL_DURATIONS * took)
         most = {"step": min(step, usual.step or step), "load": min(load, usual.load or load)}
-        self._limits = usual.model_copy(update=most)
+        self.limits = usual.model_copy(update=most)
         try:
             yield
         finally:
-            self._limits = usual
+            self.limits = usual
 
     def call(self, job: Job, *arguments: Any) -> Any:
         """Return the result of a job in the worker."""
-        watch = Watch([self.path.name], [fmi_calls(self.description)], limits=self._limits, computing=True)
-        return self._worker.call(with_permission, permission.get(), job, *arguments, watch=watch)
+        watch = Watch([self.path.name], [fmi_calls(self.description)], limits=self.limits, computing=True)
+        return self.worker.call(with_permission, permission.get(), job, *arguments, watch=watch)
+
+
+@contextmanager
+def probing(fmu: Path, values: Mapping[str, Any] = MappingProxyType({}), limits: Limits = LIMITS) -> Iterator[Prober]:
+    """Unpack an FMU, start its worker process, and end both after the `with` block.
+
+    Args:
+        values: Start values of every instance.
+        limits: Limits of every job.
+    """
+    path = Path(fmu).resolve()
+    description = read_description(path)
+    with temporary_folder("probe") as place, Worker(*PROBER_MODULES) as worker:
+        unpack(path, place)
+        yield Prober(Fmu(path, place, description, dict(values)), worker, limits)
 
 
 def separate_pairs(fits: Sequence[tuple[int, int, float]]) -> list[tuple[int, int, float]]:

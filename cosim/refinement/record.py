@@ -15,7 +15,7 @@ from cosim.core.version import __version__
 from cosim.credibility.bands import Coverage
 from cosim.estimation.fit import Fit, expected_values
 from cosim.estimation.problem import Noise
-from cosim.estimation.subject.candidates import Kind, kind_within, own
+from cosim.estimation.subject.candidates import Kind, kind_within
 from cosim.estimation.subject.interface import Subject
 from cosim.refinement.decision.claims import Claims, text_of
 from cosim.refinement.decision.posterior import Grade, Verdict
@@ -70,19 +70,6 @@ class ClassEntry(BaseModel):
     probability: Finite
 
 
-class Followed(BaseModel):
-    """A parameter per log on a sealed log without a known group, estimated by the filter from past data.
-
-    value: estimate at the end of the log
-    expected: value assumed at the start of the log
-    spread: standard deviation at the start of the log
-    """
-
-    value: Finite
-    expected: Finite
-    spread: Finite
-
-
 class PerLog(BaseModel):
     """A parameter with a separate value for each group of logs.
 
@@ -92,7 +79,6 @@ class PerLog(BaseModel):
     unit: str
     mean: Finite
     groups: dict[str, Estimate]
-    followed: dict[str, Followed]
 
 
 class CandidateEntry(BaseModel):
@@ -231,7 +217,6 @@ class Record(BaseModel):
     horizons: errors over other horizons, in the form of `error`
     noise_floor: noise floor on the validation logs, otherwise on the estimation logs
     noise_floors: error of replays against simulations of the same refined model with noise
-    floor_scatters: standard deviation of the logarithm of each floor over the draws
     coverage: share of errors on sealed logs within the error bands of the delivered FMU
     seconds: wall time of the refinement [s]
     """
@@ -271,7 +256,6 @@ class Record(BaseModel):
     horizons: dict[Literal["0.5 s", "free run"], Errors]
     noise_floor: Channels
     noise_floors: Parts
-    floor_scatters: Parts
     coverage: Coverage | None = None
     seconds: Finite
 
@@ -288,7 +272,6 @@ def record(
     played: Replayed,
     floors: Floors,
     way: Replays,
-    ends: NamedValues,
     untested: Sequence[str],
     seconds: float,
 ) -> Record:
@@ -299,7 +282,6 @@ def record(
         unfitted: Given model with fitted parameters per log.
         noise: Noise of the best hypothesis, whose sensor noise does not include model errors.
         gain_otherwise: Log-likelihood gain if every input is used the other way between rows.
-        ends: Final filtered values of parameters per log on sealed logs.
         untested: Effects that this study cannot test, with the reasons.
     """
     judged, decision, ramped = study.subject.horizon, claims.decision, study.settings.interpolated
@@ -329,7 +311,7 @@ def record(
         ],
         nearest=list(claims.nearest.names) if claims.nearest else [],
         ladder=_rungs(claims.ladder),
-        per_log=_per_log(study, claims.claimed.fit if claims.claimed else unfitted, ends),
+        per_log=_per_log(study, claims.claimed.fit if claims.claimed else unfitted),
         candidates=[
             CandidateEntry(
                 names=list(h.names),
@@ -352,9 +334,8 @@ def record(
         horizon=judged if math.isfinite(judged) else "free run",
         error=errors(judged),
         horizons={name: errors(horizon) for name, horizon in OTHER_HORIZONS.items()},
-        noise_floor=keep_finite(floors["validation" if "validation" in floors else "estimation"].level),
-        noise_floors={part: keep_finite(floor.level) for part, floor in floors.items()},
-        floor_scatters={part: keep_finite(floor.scatter) for part, floor in floors.items()},
+        noise_floor=keep_finite(floors["validation" if "validation" in floors else "estimation"]),
+        noise_floors={part: keep_finite(floor) for part, floor in floors.items()},
         seconds=seconds,
     )
 
@@ -396,15 +377,13 @@ def _effects(subject: Subject, claims: Claims) -> list[EffectEntry]:
     return entries
 
 
-def _per_log(study: Study, f: Fit, ends: NamedValues) -> dict[str, PerLog]:
+def _per_log(study: Study, f: Fit) -> dict[str, PerLog]:
     """Return the entries in refine.json of the parameters with one value per log."""
-    declared, entries = study.subject.declared, {}
+    entries, means = {}, expected_values(f)
     for name in study.settings.per_log:
-        unit, (mean, sd) = declared[name].unit, expected_values(f)[name]
+        unit = study.subject.declared[name].unit
         groups = {x.group: _estimate(f, x.name, unit) for x in f.free if x.parameter == name}
-        sealed = dict.fromkeys(g for g in study.settings.groups.values() if g not in groups)
-        followed = {g: Followed(value=ends[own(name, g)], expected=mean, spread=sd) for g in sealed}
-        entries[name] = PerLog(unit=unit, mean=mean, groups=groups, followed=followed)
+        entries[name] = PerLog(unit=unit, mean=means[name][0], groups=groups)
     return entries
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import math
 import os.path
 from collections.abc import Iterator, Mapping, Sequence
@@ -182,7 +181,7 @@ class Study:
     def settings(self) -> Settings:
         """Return the study's settings for fits."""
         subject, content = self.subject, self.content
-        per_log = tuple(full_name(subject, n) for n in content.per_log or ())
+        per_log = tuple(dict.fromkeys(full_name(subject, n) for n in content.per_log or ()))
         files = [name for *_, name in _entries(content.logs)]
         groups = group_of(self.folder, files, content.groups) if per_log else {}
         ways, tolerance = content.inputs, content.tolerance
@@ -295,12 +294,7 @@ def _of_fmu(yaml: YamlFile, content: StudyFile, faults: list[Fault]) -> Study:
         raise InputError.at(fmu, f"a refinement of an FMU needs a C compiler; {cure('refine')}")
     probed = probe_places(fmu, logs)
     if probed.structure.way == "co-simulation" and probed.own_step:
-        step, own = probed.structure.step, f"{probed.own_step.length:.3g} s"
-        message = (
-            f"{content.model} has no usable model exchange ({probed.reason}), and its co-simulation has an internal "
-            f"step of about {own}, above the step {step:.3g} s of the logs, so its results are wrong; export it for "
-            f"model exchange or with a shorter step, or record rows every {own}"
-        )
+        message = f"{content.model} has no usable model exchange ({probed.reason}), and {probed.own_step.finding}"
         raise InputError([yaml.fault(("model",), message)])
     subject = FmuSubject.of_fmu(probed.structure, logs, terms, content.limits or Limits())
     subject.source += f", because {probed.reason}"
@@ -364,7 +358,7 @@ def _checked(places: Places, content: StudyFile, subject: Subject, faults: list[
             faults += wrong
     subject = content.judged(subject)
     faults += _key_faults(places, content, subject)
-    logs, warnings, first = list[Log](), list[str](), dict[str, tuple[str, str]]()
+    logs, warnings, first = list[Log](), list[str](), dict[Any, tuple[str, str]]()
     for part, k, name in _entries(content.logs):
         try:
             _check_exists(places, part, k, name)
@@ -372,15 +366,13 @@ def _checked(places: Places, content: StudyFile, subject: Subject, faults: list[
         except InputError as error:
             faults += error.faults
             continue
-        content_of = hashlib.sha256(log.time.tobytes())
-        for signal, values in sorted({**log.inputs, **log.outputs}.items()):
-            content_of.update(signal.encode() + b"\0" + np.where(np.isnan(values), np.nan, values).tobytes())
-        if earlier := first.get(content_of.hexdigest()):
-            other, purpose = earlier
-            message = f"{name} has the same content as {other} under {purpose}"
-            message += "; keep one" if purpose == part else "; a validation log must differ from all estimation logs"
+        columns = sorted({"": log.time, **log.inputs, **log.outputs}.items())
+        readings = tuple((n, np.where(np.isnan(values), np.nan, values).tobytes()) for n, values in columns)
+        if readings in first:
+            other, purpose = first[readings]
+            message = f"{name} has the same content as {other} under {purpose}; keep one"
             faults.append(places.fault(("logs", part, k), message))
-        first.setdefault(content_of.hexdigest(), (name, part))
+        first.setdefault(readings, (name, part))
         spikes = find_spikes(log, subject.prediction(log))
         findings = gate(log, subject.rate, traits=subject.traits, spikes=spikes)
         faults += gate_faults(log, findings)
@@ -396,10 +388,9 @@ def _checked(places: Places, content: StudyFile, subject: Subject, faults: list[
         parts = stretches(log)
         if not usable:
             longest = plain(max(float(s.time[-1] - s.time[0]) for s in parts))
-            duration = f"{longest} s" if len(parts) == 1 else f"at most {longest} s without a pause"
             message = (
-                f"lasts {duration}; a log needs at least {plain(least, None)} s: record a longer log, or remove this "
-                "one"
+                f"lasts {longest} s without a pause; a log needs at least {plain(least, None)} s: record a longer log, "
+                "or remove this one"
             )
             faults.append(Fault(log.path, 0, 0, message))
         warnings += [
@@ -461,7 +452,6 @@ def _key_faults(places: Places, content: StudyFile, subject: Subject) -> Iterato
     for k, name in enumerate(content.candidates or ()):
         if name not in candidates:
             yield places.fault(("candidates", k), f'no candidate "{name}"{did_you_mean(name, candidates)}')
-    yield from _group_faults(places, content)
     yield from _per_log_faults(places, content, subject)
     if not content.logs.estimation:
         message = "no log is listed; list one"
@@ -482,8 +472,20 @@ def group_of(folder: Path, files: Sequence[str], groups: Mapping[str, Sequence[s
 
 
 def _per_log_faults(places: Places, content: StudyFile, subject: Subject) -> Iterator[Fault]:
-    """Yield faults of the key `per_log`."""
+    """Yield faults of the keys `per_log` and `groups`."""
     names, logs, folder = content.per_log, content.logs, places.path.parent
+    owner, files = dict[str, str](), [*logs.estimation, *logs.validation]
+    paths = {os.path.realpath(folder / f) for f in files}
+    for name, members in content.groups.items():
+        if name in files:
+            yield places.fault(("groups", name), f'group "{name}" has the name of a log; rename it', key=True)
+        for k, file in enumerate(members):
+            path, place = os.path.realpath(folder / file), ("groups", name, k)
+            if path not in paths:
+                yield places.fault(place, f"{file} is not listed under logs{did_you_mean(file, files)}")
+            elif path in owner:
+                yield places.fault(place, f"{file} is in {owner[path]} too; keep one, because a log has one group")
+            owner.setdefault(path, name)
     if names is None:
         if content.groups:
             message = "groups need parameters per log; name under per_log the parameters that differ, or remove groups"
@@ -491,14 +493,14 @@ def _per_log_faults(places: Places, content: StudyFile, subject: Subject) -> Ite
         return
     if not names:
         yield places.fault(("per_log",), "the list is empty; name parameters, or remove the key", key=True)
-    group = group_of(folder, [*logs.estimation, *logs.validation], content.groups)
+    group = group_of(folder, files, content.groups)
     estimated = {group[folder / f] for f in logs.estimation}
     alone = [f for f in logs.validation if group[folder / f] not in estimated]
     base = [p.name for p in subject.parameters if not isinstance(p.default, bool)]
     of_effects = [n for n in subject.candidate_parameters if n.partition(".")[0] in subject.present]
-    allowed, full_names = [*base, *of_effects, *subject.sensor_parameters], set[str]()
+    allowed = [*base, *of_effects, *subject.sensor_parameters]
     for k, name in enumerate(names):
-        place, full = ("per_log", k), full_name(subject, name)
+        at, full = ("per_log", k), full_name(subject, name)
         if full not in allowed:
             own = [n for n in allowed if n.startswith(f"{name}.")]
             hint = did_you_mean(name, [*allowed, *(kind.name for kind in subject.sensors)])
@@ -509,46 +511,14 @@ def _per_log_faults(places: Places, content: StudyFile, subject: Subject) -> Ite
                     f"the model does not have {name.partition('.')[0]}; a missing effect is a candidate, so remove "
                     f"{name}"
                 )
-            yield places.fault(place, message)
-            continue
-        if full in full_names:
-            yield places.fault(place, f"{name} is listed twice; keep one")
+            yield places.fault(at, message)
         elif alone and full in subject.inestimable:
             message = f"{name} needs a value for {alone[0]}, whose group has no estimation log, and the filter cannot "
             message += f"estimate it during a run; put {alone[0]} in a group with an estimation log"
-            yield places.fault(place, message)
-        full_names.add(full)
-    for k, name in enumerate(content.candidates or ()):
-        if ({n for n in subject.declared if n.startswith(f"{name}.")} or {name}) <= full_names:
-            yield places.fault(
-                ("candidates", k),
-                f"{name} is also listed under per_log, and therefore estimated in every hypothesis; remove one",
-            )
-
-
-def _group_faults(places: Places, content: StudyFile) -> Iterator[Fault]:
-    """Yield faults of unknown, repeated or misnamed groups."""
-    folder, owner, files = places.path.parent, dict[str, str](), [name for *_, name in _entries(content.logs)]
-    paths = {os.path.realpath(folder / f) for f in files}
-    for group, members in content.groups.items():
-        if group in files:
-            yield places.fault(("groups", group), f'group "{group}" has the name of a log; rename it', key=True)
-        if not members:
-            yield places.fault(("groups", group), f"{group} has no log; list its logs, or remove it", key=True)
-        for k, name in enumerate(members):
-            path, place = os.path.realpath(folder / name), ("groups", group, k)
-            if path not in paths:
-                yield places.fault(place, f"{name} is not listed under logs{did_you_mean(name, files)}")
-            elif path in owner:
-                where = "twice" if owner[path] == group else f"in {owner[path]} too"
-                yield places.fault(place, f"{name} is listed {where}; keep one, because a log has one group")
-            owner.setdefault(path, group)
+            yield places.fault(at, message)
 
 
 # What `cosim refine` can find with the logs of a study, and what it cannot find.
-
-
-FEWEST_STEPPED = 2  # least estimation logs of a co-simulation FMU, inside which there is no process noise
 
 
 def check_study(path: Path, checking: Checking) -> list[str]:
@@ -568,23 +538,11 @@ def check_study(path: Path, checking: Checking) -> list[str]:
     study = read_study(path)
     found = [f"warning: {text}" for text in study.warnings]
     found += [Note(f"not tested: {text}") for text in untested_effects(study)]
-    if not isinstance(study.subject, FmuSubject):
-        return found
-    subject, logs = study.subject, study.content.logs
-    s, count = subject.structure, len(subject.candidates([q.name for q in subject.inputs]))
-    found.append(Note(f"`cosim refine` will use {subject.source.removeprefix(f'{s.fmu}, ')}"))
-    place = f"the places that `cosim info --places {s.fmu.name}` lists"
-    found.append(Note(f"`cosim refine` will try {count} terms and parameters at {place}"))
-    if subject.is_stepped and len({log.path for log in study.logs}) < FEWEST_STEPPED:
-        found.append(
-            f"warning: co-simulation can only simulate whole logs, so a claim needs at least {FEWEST_STEPPED} "
-            "estimation logs"
-        )
-    if not logs.validation:
-        many = counted(len(logs.estimation), "log")
-        found.append(
-            Note(f"no validation log: a claim from {many} will not be checked on data that no decision has used")
-        )
+    if isinstance(subject := study.subject, FmuSubject):
+        s, count = subject.structure, len(subject.candidates([q.name for q in subject.inputs]))
+        way = subject.source.removeprefix(f"{s.fmu}, ")
+        places = f"the places that `cosim info --places {s.fmu.name}` lists"
+        found.append(Note(f"`cosim refine` will use {way}, and try {count} terms and parameters at {places}"))
     return found
 
 

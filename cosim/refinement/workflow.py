@@ -6,10 +6,8 @@ opened after all decisions.
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from copy import copy
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -18,15 +16,13 @@ import numpy as np
 
 from cosim.core.errors import CosimError, Fault, TimedOut, refuse
 from cosim.core.messages import Note
-from cosim.core.text import counted, join_names, plain, showing
+from cosim.core.text import counted, join_names, showing
 from cosim.credibility.record import attach
 from cosim.estimation.fit import Fit, initial_fit
 from cosim.estimation.posing import (
     build_problem,
-    cell_warnings,
     noise_levels,
     noise_warnings,
-    predictable_horizon,
     with_likely_starts,
 )
 from cosim.estimation.problem import Problem
@@ -46,24 +42,21 @@ from cosim.files.files import (
 from cosim.files.folders import remove_earlier
 from cosim.fmi.building.refined import NEAREST, REFINE_RECORD, REFINED
 from cosim.isolation.limits import Limits
-from cosim.refinement.decision.bundle import between_rows, fit_given_model, late_input
-from cosim.refinement.decision.claims import Claims, claims_of, floor_warning, sentence
+from cosim.refinement.decision.bundle import between_rows, fit_given_model
+from cosim.refinement.decision.claims import Claims, claims_of, sentence
 from cosim.refinement.proof.measure import (
     FLOOR_SEED,
     Floors,
     LogSets,
-    Replayed,
     Replays,
     Variant,
     credibility_of,
-    final_log_parameters,
     find_rises,
     log_noise,
     noise_floor,
     refined_variant,
     remaining_on_sealed_logs,
     replay_variants,
-    rmse,
     variant_of,
 )
 from cosim.refinement.record import record, unfinished
@@ -72,8 +65,6 @@ from cosim.refinement.search.attribution import attribute
 from cosim.refinement.search.fits import Hypothesis, Search
 from cosim.refinement.stages import Watcher, report_ranking
 from cosim.refinement.study import Study, read_study, untested_effects
-from cosim.residuals.compare import horizon_name
-from cosim.residuals.residual_statistics import COUNTS_FROM
 
 Progress = Callable[[str, float], None]
 FILES_OF = {"after": REFINED[1], "nearest": NEAREST[1]}  # file of the FMU of a variant
@@ -119,7 +110,6 @@ def refine(
     check_writable(folder, (*REFINED, *NEAREST, REFINE_RECORD, "report.html"), study.files)
     problem = _build_problem(study)
     refuse(_divergences(study, problem))
-    study = _with_predictable_horizon(study, problem)
     subject = study.subject
     with showing({"display": subject.display}):
         try:
@@ -130,14 +120,10 @@ def refine(
             remove_earlier(folder, read=study.files)
             write_json(folder / REFINE_RECORD, unfinished(study, limited.tried), allow_nan=False)
             raise
-        between = between_rows(search.problem, claims.base)
+        gain_otherwise, otherwise = between_rows(search.problem, claims.base)
         unfitted = fit_given_model(search.problem, claims.base.fit)
         noise = log_noise(claims.best.fit.noise, search.free_noise)
-        late = late_input(search.problem, claims.best) if claims.best.fit.free else None
-        other = between if late is None or late.gain < between.gain else late
-        warnings = [*noise_warnings(problem, noise, subject), *([other.warning] if other.warning else [])]
-        if subject.probed:
-            warnings += cell_warnings(problem, subject)
+        warnings = [*noise_warnings(problem, noise, subject), *([otherwise] if otherwise else [])]
         allowed = study.content.limits
         with scratch_folder(folder, ".refine-") as scratch, Workplace(scratch, allowed, in_process=in_process) as place:
             progress("building the refined FMU", 0.0)
@@ -155,7 +141,6 @@ def refine(
             quiet = replace(best, noise=log_noise(claims.delivered.fit.noise, search.free_noise))
             rng = np.random.default_rng(FLOOR_SEED)  # fixed for reproducible results
             floors: Floors = {part: noise_floor(quiet, problem, logs, rng) for part, logs in sets.items()}
-            ends = final_log_parameters(variants["after"], problem, sealed)
             progress("measuring error bands", 0.0)
             records = {}
             for name, h in {"after": claims.claimed, "nearest": claims.nearest}.items():
@@ -167,15 +152,15 @@ def refine(
                     except CosimError as error:
                         warnings.append(f"{file.name} has no record of credibility: {error}")
             hold_stops()  # a result that exists from here must not be lost
-            warnings += [*failure_warnings(problem), *_proof_warnings(variants, way, floors, played)]
+            warnings += [*failure_warnings(problem), *_proof_warnings(variants, way)]
             study = replace(study, warnings=(*study.warnings, *warnings))
             risen: dict[str, tuple[float, float]] = {}
             remaining: dict[str, float] = {}
             if sealed and delivered in played:
                 before, after = (played[name]["validation"][subject.horizon] for name in ("before", delivered))
                 risen = find_rises(before, after)
-                remaining = remaining_on_sealed_logs(before, after, floors["validation"].level)
-            text = sentence(claims, subject, risen, remaining, is_written=bool(files))
+                remaining = remaining_on_sealed_logs(before, after, floors["validation"])
+            text = sentence(claims, subject, risen, remaining)
             written = record(
                 study,
                 claims,
@@ -183,11 +168,10 @@ def refine(
                 problem.layout.outputs,
                 unfitted=unfitted,
                 noise=noise,
-                gain_otherwise=between.gain,
+                gain_otherwise=gain_otherwise,
                 played=played,
                 floors=floors,
                 way=way,
-                ends=ends,
                 untested=untested,
                 seconds=time.perf_counter() - start,
             )
@@ -257,21 +241,6 @@ def _build_problem(study: Study) -> Problem:
     return with_likely_starts(replace(problem, r=r, shown=visible, ranges=[]))
 
 
-def _with_predictable_horizon(study: Study, problem: Problem) -> Study:
-    """Return the study with a horizon over which the given model can predict, and a warning if it is shortened."""
-    horizon = study.subject.horizon
-    shorter = predictable_horizon(problem, horizon)
-    if shorter >= horizon:
-        return study
-    subject = copy(study.subject)
-    subject.horizon = shorter
-    warning = (
-        "errors of the start state grow exponentially in these logs. Predictions therefore last "
-        f"{plain(shorter, 2)} s, in which these errors grow tenfold, instead of the model's {horizon_name(horizon)}"
-    )
-    return replace(study, subject=subject, warnings=(*study.warnings, warning))
-
-
 def _divergences(study: Study, problem: Problem) -> Iterator[Fault]:
     """Yield a fault for each log on which the filter of the unfitted model diverges."""
     noise = initial_fit(problem).noise
@@ -322,8 +291,8 @@ def failure_warnings(problem: Problem) -> Iterator[str]:
         yield f"the FMU failed in {evaluations}, which count as diverged; the first failure: {failures[0]}"
 
 
-def _proof_warnings(variants: Mapping[str, Variant], way: Replays, floors: Floors, played: Replayed) -> Iterator[str]:
-    """Yield a warning for a missing FMU or platform, for slow replays, and for noise floors far above the errors."""
+def _proof_warnings(variants: Mapping[str, Variant], way: Replays) -> Iterator[str]:
+    """Yield a warning for a missing FMU or platform, and for slow replays."""
     subjects = [variant.subject for variant in variants.values()]
     yield from dict.fromkeys(s.undelivered for s in subjects if s.undelivered)
     for names in dict.fromkeys(s.missing_platforms for s in subjects if s.missing_platforms):
@@ -333,10 +302,3 @@ def _proof_warnings(variants: Mapping[str, Variant], way: Replays, floors: Floor
         )
     if way.through == "python" and way.log:
         yield f"the native FMU of the model is not used: {way.why}; all errors are measured with FMUs in Python"
-    subject, delivered = subjects[0], [name for name in ("after", "nearest") if name in played]
-    for part, floor in floors.items():
-        errors = [rmse(played[name][part][subject.horizon]) for name in delivered]
-        least = {n: min(e.get(n, math.inf) for e in errors) for n in floor.level}
-        channels = {n: (level, least[n]) for n, level in floor.level.items() if level > COUNTS_FROM * least[n] > 0.0}
-        if channels:
-            yield floor_warning(part, channels, subject)

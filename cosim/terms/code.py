@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, make_dataclass, replace
 from functools import cache
-from typing import Any, ClassVar, Literal, NamedTuple
+from typing import Any, ClassVar, Literal
 
 from cosim.core.arrays import Flags
 from cosim.model.model import Effect, Equations, Model, Number, Values, overrides
@@ -21,18 +21,11 @@ from cosim.model.symbolic.symbols import number_guard
 from cosim.terms.language import Direction, Force, RateTerm
 
 
-class Dependencies(NamedTuple):
-    """Which states, and which inputs, each derivative and output depends on, in this order, as arrays of flags."""
-
-    states: Flags
-    inputs: Flags
-
-
 class FmuModel(Model):
     """Base class of models whose equations are in an FMU; `fmu_model` makes a subclass.
 
     Attributes:
-        dependencies: States and inputs on which each derivative and output depends.
+        dependencies: True if a derivative or output (row) depends on a state or input (column).
         rates: Index of a position → index of the velocity, its derivative.
         variables: Name in the model → name of the FMU variable.
         shown: Index of an output → index of the state that equals it.
@@ -40,7 +33,7 @@ class FmuModel(Model):
         starts: Start values of the states.
     """
 
-    dependencies: ClassVar[Dependencies]
+    dependencies: ClassVar[Flags]
     rates: ClassVar[Mapping[int, int]]
     variables: ClassVar[Mapping[str, str]]
     shown: ClassVar[Mapping[int, int]] = {}
@@ -53,11 +46,21 @@ class FmuModel(Model):
         Raises:
             TypeError: The namespace works on numbers.
         """
+        import sympy
+
         if not isinstance(m, SymbolNamespace):
             raise TypeError("the equations are in a library and need symbols")
 
         def value(row: int, state: Values, command: Values) -> Number:
-            return library_value(row)(*self._arguments(m, row, state, command))
+            """Return a derivative or output as a function of the symbols on which it depends, with forces at ports."""
+            order, inputs = len(self.base_states), self.library_inputs(m, state, command)
+            of_states, of_inputs = self.dependencies[row, :order], self.dependencies[row, order:]
+            places = {k for k, depends in enumerate(of_states) if depends}
+            acting = [sympy.sympify(u) for u, depends in zip(inputs, of_inputs, strict=True) if depends]
+            # keyed by name, since sympy may return an equal earlier expression that contains other symbol objects
+            through = {str(symbol) for u in acting for symbol in u.free_symbols}
+            places |= {k for k, x in enumerate(state[:order]) if str(x) in through}
+            return library_value(row)(*(state[k] for k in sorted(places)), *(u for u in command if str(u) in through))
 
         def derivative(t: Number, state: Values, command: Values) -> Values:
             if self.stepped:
@@ -119,20 +122,6 @@ class FmuModel(Model):
         """Return the distinct directions of all forces in the catalogue, in order."""
         every = (kind.place.direction for kind in self.catalogue if issubclass(kind, Force))
         return tuple(sorted({d for d in every if d is not None}, key=lambda d: d.number))
-
-    def _arguments(self, m: Namespace, row: int, state: Values, command: Values) -> list[Number]:
-        """Return the symbols on which a derivative or output depends, including forces at ports."""
-        import sympy
-
-        of_states, of_inputs = self.dependencies
-        inputs = self.library_inputs(m, state, command)
-        places = {k for k, depends in enumerate(of_states[row]) if depends}
-        acting = [sympy.sympify(u) for u, depends in zip(inputs, of_inputs[row], strict=True) if depends]
-        # keyed by name, since sympy may return an equal earlier expression that contains other symbol objects
-        through = {str(symbol) for u in acting for symbol in u.free_symbols}
-        places |= {k for k, x in enumerate(state[: len(self.base_states)]) if str(x) in through}
-        commands = [u for u in command if str(u) in through]
-        return [*(state[k] for k in sorted(places)), *commands]
 
 
 @cache

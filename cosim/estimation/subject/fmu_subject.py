@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from shutil import copyfile
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
@@ -38,7 +38,7 @@ from cosim.probing.fmu_structure import StartValue, Structure
 from cosim.residuals.drive import REPLAY_MODULES, DriveApart
 from cosim.residuals.windows import Replay, start_parameters
 from cosim.terms.catalogue import bound_terms, delay_of, experiments_for, sensor_errors
-from cosim.terms.code import Dependencies, FmuModel, fmu_model, term_code
+from cosim.terms.code import FmuModel, fmu_model, term_code
 from cosim.terms.language import Direction, Force, Opposite, Place, with_place
 
 SUBSTEPS = 8  # steps of co-simulation between rows, for forces that follow the outputs
@@ -232,10 +232,6 @@ class FmuSubject(ModelSubject):
         fmu = self._delivered(scratch)
         return () if fmu is None else (Path(copyfile(fmu, scratch / DELIVERED_FILES[name][1])),)
 
-    def main_file(self, name: Literal["refined", "nearest"]) -> str:
-        """Return the name of the FMU, the only file."""
-        return DELIVERED_FILES[name][1]
-
 
 @dataclass
 class LibraryReplayer(Replayer):
@@ -317,7 +313,7 @@ def probed_model(structure: Structure, logs: Sequence[Log], terms: Sequence[type
         (named, inputs, named_outputs),
         parameters,
         [*delay, *bound_terms([*_places(s, logs, states)], terms)],
-        dependencies=Dependencies(s.depends[:, : len(s.states)], s.depends[:, len(s.states) :]),
+        dependencies=s.depends,
         rates=rates,
         variables={
             with_place(q.name): q.name for q in (*s.states, *s.inputs, *s.outputs, *(p.quantity for p in s.acting))

@@ -20,7 +20,6 @@ from typing import Any, Literal, Protocol, Self, runtime_checkable
 from cosim.core.arrays import Array, NamedArrays, NamedValues, Rows
 from cosim.estimation.kernel.kernel import Data, Kernel
 from cosim.estimation.subject.candidates import Candidate
-from cosim.fmi.building.refined import NEAREST, REFINED
 from cosim.isolation.limits import Limits
 from cosim.isolation.process import Worker
 from cosim.logs.log import Log
@@ -105,7 +104,6 @@ class Subject(Protocol):
         present: Candidates already in the object; a change of their values counts as a wrong parameter.
         excursion: Signal → allowed deviation from its start in an experiment.
         told_apart_by: Candidates → sentence on the experiment that separates them.
-        drawn_against: Candidate → signals over which its effect is plotted.
         inestimable: Parameters that a filter cannot estimate, such as a delay of commands.
         probed: True for an FMU, whose terms are those of a general catalogue.
         display: Unit → name of its display unit, factor and offset to its values.
@@ -132,7 +130,6 @@ class Subject(Protocol):
     present: frozenset[str] = frozenset()
     excursion: Mapping[str, float] = {}
     told_apart_by: Mapping[frozenset[str], str] = {}
-    drawn_against: Mapping[str, tuple[str, ...]] = {}
     inestimable: frozenset[str] = frozenset()
     probed: bool = False
     display: Mapping[str, Sequence[Any]] = {}
@@ -234,10 +231,6 @@ class Subject(Protocol):
             name: `refined` or `nearest`.
         """
         return ()
-
-    def main_file(self, name: Literal["refined", "nearest"]) -> str:
-        """Return the name of the main file that `write` writes."""
-        return (REFINED if name == "refined" else NEAREST)[0]
 
     def use(self, folder: Path, name: Literal["refined", "nearest"] = "refined") -> Sequence[str]:
         """Return a command line that uses the delivered files in `folder`; empty without files."""

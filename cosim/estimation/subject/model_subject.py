@@ -56,7 +56,7 @@ class ModelSubject(Subject):
         self.sensor_variance, self.start_variance = model.sensor_variance, model.start_variance
         self.present = frozenset(e.name for e in model.awake)
         self.excursion = model.excursion
-        self.told_apart_by, self.drawn_against = model.told_apart_by, model.drawn_against
+        self.told_apart_by = model.told_apart_by
         effects = (*shaping_effects(model.catalogue), *(kind for kind in model.sensors if kind.depends_on_past()))
         self.inestimable = frozenset(f"{e.name}.{p.name}" for e in effects for p in parameters_of(e))
 

@@ -198,7 +198,6 @@ def _name_faults(kind: type[Model]) -> Faults:
         (kind, "valid", "input", chain(*(v.inputs for v in kind.valid)), inputs),
         (kind, "planar", "output", kind.planar.names if kind.planar else (), outputs),
         (kind, "told_apart_by", "candidate", sorted(chain(*kind.told_apart_by)), candidates),
-        (kind, "drawn_against", "candidate", kind.drawn_against, candidates),
     ]
     for owner in owners:
         own: Any = owner

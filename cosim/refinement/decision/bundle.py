@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from itertools import combinations
 
@@ -15,7 +15,7 @@ from scipy.special import expit, logit, logsumexp, ndtr
 from cosim.core.arrays import Array, NamedValues, Rows
 from cosim.core.errors import FmuError, SimulationError
 from cosim.core.linear_algebra import least_squares
-from cosim.core.text import counted, join_names, plain
+from cosim.core.text import join_names, plain
 from cosim.credibility.bands import FREE_RUN_PARTS
 from cosim.estimation.data import count_unscored, lagged_table
 from cosim.estimation.fit import Fit, fit, fit_for_held_out, inverse, slopes, with_flat_directions
@@ -48,8 +48,7 @@ from cosim.refinement.decision.posterior import (
     posterior,
 )
 from cosim.refinement.search.fits import SCREEN_ITERATIONS, Hypothesis, Search
-from cosim.refinement.search.missing import MAX_SMOOTHED_ROWS
-from cosim.refinement.search.unnamed import Leftover
+from cosim.refinement.search.unnamed import MAX_SMOOTHED_ROWS, Leftover
 from cosim.residuals.residual_statistics import remaining_excess
 from cosim.terms.catalogue import contains
 
@@ -97,22 +96,22 @@ def evidence(search: Search, h: Hypothesis) -> Evidence:
 
 def prior_of(search: Search, h: Hypothesis, f: Free) -> Parameter:
     """Return a free parameter of a fit, with its prior, for the posterior."""
-    subject, problem = search.subject, search.problem
-    value, low = float(h.fit.values[f.name]), max(f.low, h.fit.values.get(f.above, f.low))
-    if f.prior:
-        return Parameter(f.name, "", value, *f.prior, low=low, high=f.high)
+    subject, problem, given = search.subject, search.problem, float(search.problem.values[f.name])
     of = next((c for c in h.candidates if f.name in c.parameters), None)
-    part, given = of.name if of else "", float(problem.values[f.name])
-    if of and f.name in of.repeats[:1]:  # every period is equally probable: the normal prior has the same density
-        width = of.among * math.sqrt(2.0 * math.pi) * f.size
-        return Parameter(f.name, part, value, of.starts[0].get(f.name, given), width, low=low, high=f.high)
-    if f.name in {p.name for p in subject.parameters}:
+    part, is_size = of.name if of else "", f.neutral is not None
+    if f.prior:
+        part, is_size, (centre, width) = "", False, f.prior
+    elif of and f.name in of.repeats[:1]:  # every period is equally probable: the normal prior has the same density
+        centre, width, is_size = of.starts[0].get(f.name, given), of.among * math.sqrt(2.0 * math.pi) * f.size, False
+    elif f.name in {p.name for p in subject.parameters}:
         p, stated = subject.declared[f.name], problem.settings.tolerance
         tolerance = stated.get(f.name, TRIAL_TOLERANCE if p.tolerance is None else p.tolerance)
         width = SIGMAS_PER_TOLERANCE * spread_of_base(p, given, tolerance) / MIXTURE[0]
-        return Parameter(f.name, part, value, given, width, is_size=True, low=low, high=f.high)
-    centre = f.neutral if f.neutral is not None and part not in subject.present else given
-    return Parameter(f.name, part, value, centre, f.size, is_size=f.neutral is not None, low=low, high=f.high)
+        centre, is_size = given, True
+    else:
+        centre, width = f.neutral if f.neutral is not None and part not in subject.present else given, f.size
+    low = max(f.low, h.fit.values.get(f.above, f.low))
+    return Parameter(f.name, part, float(h.fit.values[f.name]), centre, width, is_size, low, f.high)
 
 
 def sizes_of(search: Search, h: Hypothesis, c: Candidate) -> list[Parameter]:
@@ -416,11 +415,6 @@ def noise_gains(problem: Problem, f: Fit) -> list[float]:
     return [problem.score(f.values, replace(f.noise, power=power)).nll - f.nll for power in without]
 
 
-def unknown_input_gain(problem: Problem) -> float:
-    """Return the log-likelihood gain above which an equation has an unknown input: ½ ln N (half of BIC)."""
-    return 0.5 * math.log(max(2, problem.samples))
-
-
 def fit_given_model(problem: Problem, base: Fit, left_out: int | None = None) -> Fit:
     """Return the given model with fitted unknown inputs and parameters per log.
 
@@ -441,8 +435,9 @@ def with_intervals(search: Search, h: Hypothesis) -> Hypothesis:
 
     An estimate without one log should differ from the estimate with all logs by N(0, σ₋ₖ² − σ²) (Hausman 1978). The
     variance is multiplied by the ratio of these squared differences to their expectation, if above 1 (Birge 1932). For
-    equally informative logs this is the jackknife; a log without information on a parameter does not widen its
-    interval. A single log is divided into two halves.
+    n logs whose information adds up, the expected sum is at least σ²·n/(n − 1); it can be smaller because each fit
+    estimates its own noise. For equally informative logs this is the jackknife; a log without information on a
+    parameter does not widen its interval. A single log is divided into two halves.
     """
     at_fit = slopes(search.problem, h.fit)
     block, _ = blocks_of_time(at_fit.scored.of_each_log(at_fit.scored.rows))
@@ -453,23 +448,16 @@ def with_intervals(search: Search, h: Hypothesis) -> Hypothesis:
     problem = search.problem if len(search.problem.logs) > 1 else halve_log(search.problem)
     logs = range(len(problem.logs))
     white, fits = replace(f, scattered=None), in_parallel(partial(fit_without, search, problem, h), logs)
-    variances = np.array([0.0 if x.group else _variance_with_logs(white, fits, x.name) for x in f.free])
-    scattered = np.asarray(f.scattered)
-    within = np.diag(scattered)
-    wider = np.sqrt(np.maximum(1.0, np.divide(variances, within, out=np.ones_like(within), where=within > 0.0)))
+    scattered, wider, n = np.asarray(f.scattered), np.ones(count), len(fits)
+    for k, x in enumerate(f.free):
+        if x.group:
+            continue
+        variance, within = white.sigma(x.name) ** 2, scattered[k, k]
+        expected = max(variance * n / (n - 1), sum(max(0.0, each.sigma(x.name) ** 2 - variance) for each in fits))
+        moved = sum((each.values[x.name] - f.values[x.name]) ** 2 for each in fits)
+        if expected > 0.0 and within > 0.0:
+            wider[k] = np.sqrt(max(1.0, variance * moved / expected / within))
     return replace(h, fit=replace(f, scattered=scattered * np.outer(wider, wider)))
-
-
-def _variance_with_logs(f: Fit, fits: Sequence[Fit], name: str) -> float:
-    """Return the variance of an estimate, from its differences to the estimates without each log in turn.
-
-    For n logs whose information adds up, the expected squared differences sum to at least σ²·n/(n − 1). They can be
-    smaller because each fit estimates its own noise; the variance is then at most that of the jackknife.
-    """
-    variance, n = f.sigma(name) ** 2, len(fits)
-    expected = max(variance * n / (n - 1), sum(max(0.0, other.sigma(name) ** 2 - variance) for other in fits))
-    moved = sum((other.values[name] - f.values[name]) ** 2 for other in fits)
-    return variance * moved / expected if expected > 0.0 else 0.0
 
 
 # Observationally equivalent hypotheses, which have equal predictions for every input, so that no experiment can
@@ -578,70 +566,30 @@ def _outputs(problem: Problem, data: Data, values: NamedValues) -> Array:
     return lagged_table(run.outputs, np.array([lags.get(k, 0.0) for k in range(data.y.shape[1])]))
 
 
-# Comparison, by likelihood, of inputs that are held and interpolated between rows, and of inputs that act earlier.
-#
-# With even prior odds, another use of inputs is reported if its probability is that required of a claim, and if its
-# gain is not due to chance over blocks of time.
+# Comparison, by likelihood, of inputs that are held and interpolated between rows.
 
 
-@dataclass(frozen=True)
-class OtherInputs:
-    """Log-likelihood gain of another use of inputs, with a warning if this use is clearly more likely."""
+def between_rows(problem: Problem, base: Hypothesis) -> tuple[float, str]:
+    """Refit the recalibrated model with every input held instead of interpolated between rows, or vice versa.
 
-    gain: float
-    warning: str = ""
-
-
-def between_rows(problem: Problem, base: Hypothesis) -> OtherInputs:
-    """Refit the recalibrated model with every input held instead of interpolated between rows, or vice versa."""
+    Returns:
+        Log-likelihood gain, and a warning if the gain has the probability that a claim needs (with even prior odds) and
+        is not due to chance over blocks of time.
+    """
     ramped, names = problem.settings.interpolated, problem.layout.inputs
     flipped = frozenset(names) - ramped
     logs = [replace(data, interpolated=flipped) for data in problem.logs]
     other = replace(problem, logs=logs, settings=replace(problem.settings, interpolated=flipped))
-    gain, clearly = _gain_of(problem, base, other)
-    if not clearly:
-        return OtherInputs(gain)
+    # Unknown inputs start at a large level, because inputs that compensated the wrong choice converge slowly.
+    refit = fit(other, base.fit.free, base.fit.values, other.plain)
+    gain, steady = base.fit.objective - refit.objective, steadiness(problem, refit, base.fit, other)
+    if gain <= float(logit(CERTAIN)) or float(ndtr(-steady)) >= MISFIT:
+        return gain, ""
     ways = [("interpolated", "held") if name in ramped else ("held", "interpolated") for name in names]
     setting = f"{{{', '.join(f'{name}: {other}' for name, (_, other) in zip(names, ways, strict=True))}}}"
     setting = ways[0][1] if len(set(ways)) == 1 else setting
     inputs = join_names([f"{name} is assumed to be {way}" for name, (way, _) in zip(names, ways, strict=True)])
-    warning = f"between rows, {inputs}. The alternative {clearly}; if the rig commands its inputs that way, "
-    return OtherInputs(gain, f"{warning}write `inputs: {setting}` in the study")
-
-
-def late_input(problem: Problem, best: Hypothesis) -> OtherInputs | None:
-    """Return the gain and a warning if an input seems to be recorded late, as after a filter; otherwise None.
-
-    No candidate lets an input act earlier than recorded. The best hypothesis is therefore fitted with each input
-    shifted by one row, then by twice as many rows as long as the likelihood increases.
-    """
-    late: OtherInputs | None = None
-    shortest, step = min(len(data.u) for data in problem.logs), problem.logs[0].step
-    for column, name in enumerate(problem.layout.inputs):
-        rows = 1
-        while rows < shortest and any(np.ptp(data.u[:, column]) for data in problem.logs):
-            logs = []
-            for data in problem.logs:
-                u = data.u.copy()
-                u[:-rows, column], u[-rows:, column] = u[rows:, column].copy(), u[-1, column]
-                logs.append(replace(data, u=u))
-            gain, clearly = _gain_of(problem, best, replace(problem, logs=logs))
-            if not clearly or (late is not None and gain <= late.gain):
-                break
-            warning = (
-                f"shifting {name} by {counted(rows, 'row')} to earlier times {clearly}: its column may lag, as after a "
-                "filter, which no candidate describes; log the input before the filter, or move its column "
-                f"{plain(rows * step)} s earlier and refine again"
-            )
-            late, rows = OtherInputs(gain, warning), 2 * rows
-    return late
-
-
-def _gain_of(problem: Problem, h: Hypothesis, other: Problem) -> tuple[float, str]:
-    """Return the gain of a hypothesis by a fit with other inputs, and a phrase on it if it is not due to chance."""
-    # Unknown inputs start at a large level, because inputs that compensated the wrong choice converge slowly.
-    refit = fit(other, h.fit.free, h.fit.values, other.plain)
-    gain, steady = h.fit.objective - refit.objective, steadiness(problem, refit, h.fit, other)
-    if gain <= float(logit(CERTAIN)) or float(ndtr(-steady)) >= MISFIT:
-        return gain, ""
-    return gain, f"raises the log-likelihood by {plain(gain)}, {plain(steady, 2)} times its standard deviation"
+    return gain, (
+        f"between rows, {inputs}. The alternative raises the log-likelihood by {plain(gain)}, {plain(steady, 2)} times "
+        f"its standard deviation; if the rig commands its inputs that way, write `inputs: {setting}` in the study"
+    )

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
@@ -30,7 +30,6 @@ from cosim.refinement.decision.bundle import (
     misfit_of,
     noise_gains,
     sizes_of,
-    unknown_input_gain,
     with_intervals,
 )
 from cosim.refinement.decision.posterior import (
@@ -56,8 +55,7 @@ from cosim.refinement.proof.measure import (
     variant_of,
 )
 from cosim.refinement.search.fits import TOGETHER, Hypothesis, Progress, Search
-from cosim.refinement.search.missing import unknown_inputs
-from cosim.refinement.search.unnamed import Leftover, Shape, find_unnamed_terms, signal_units
+from cosim.refinement.search.unnamed import Leftover, UnnamedTerm, find_unnamed_terms, signal_units, unknown_inputs
 from cosim.refinement.study import Study
 from cosim.residuals.residual_statistics import COUNTS_FROM
 
@@ -81,6 +79,7 @@ class Claims:
     experiment: str  # input that separates the rivals
     equivalent: Sequence[Sequence[str]]  # groups of names with equal predictions for every input
     residual: Mapping[str, Any]  # deficient equation, its signals and process noise
+    unnamed: Sequence[UnnamedTerm]  # unmodelled dynamics, most likely first
     moves: NamedValues  # forced state → size of its unknown input relative to its derivative
     hidden: Sequence[str]  # effects that these logs cannot show
     ladder: Sequence[tuple[Hypothesis | None, Any]]  # models, given one first; log errors on held-out logs
@@ -125,28 +124,21 @@ def text_of(parts: Names) -> str:
     return TOGETHER.join(sorted(parts)) or NO_EFFECT
 
 
-def sentence(
-    c: Claims,
-    subject: Subject,
-    risen: Mapping[str, tuple[float, float]],
-    remaining: NamedValues,
-    *,
-    is_written: bool,
-) -> str:
+def sentence(c: Claims, subject: Subject, risen: Mapping[str, tuple[float, float]], remaining: NamedValues) -> str:
     """Return the verdict as text: answer, rise of errors on sealed logs, remaining error, remarks.
 
     Args:
         risen: Channel → error before and after, for errors that rise significantly on sealed logs.
         remaining: Channel → share of the squared error above the noise floor that remains on sealed logs.
-        is_written: True if files of the delivered subject are written.
     """
-    name: Literal["refined", "nearest"] = "nearest" if c.claimed is None else "refined"
-    file, nearest = subject.main_file(name), subject.main_file("nearest")
-    if not is_written:
-        file, nearest = f"the {name} object", "The nearest object"
     answer, *details = filter(None, _answer_texts(c, subject))
-    texts = answer, _rise_text(risen, subject, file), *details, *_remark_texts(c, remaining, file, nearest)
-    return " ".join(filter(None, texts))
+    rises = []  # whose rounded values differ
+    for name, pair in risen.items():
+        before, after = (error_text(subject, name, error, pair[1]) for error in pair)
+        rises += [f"of {name} from {before} to {after}"] if before != after else []
+    model = "nearest" if c.claimed is None else "refined"
+    rise = f"On the sealed logs the error of the {model} model rises: {join_names(rises)}." if rises else ""
+    return " ".join(filter(None, (answer, rise, *details, *_remark_texts(c, remaining))))
 
 
 def _answer_texts(c: Claims, subject: Subject) -> Iterator[str]:
@@ -182,9 +174,6 @@ def _answer_texts(c: Claims, subject: Subject) -> Iterator[str]:
     else:
         yield claim
     yield from details
-    chances = [f"{n} ({percent(p)})" for n, p in c.decision.uncertain.items()]
-    if c.claimed is not None and c.name != "ambiguous" and chances:
-        yield f"Also possible, with this probability: {join_names(chances)}."
 
 
 def _joined(first: str, second: str) -> str:
@@ -264,33 +253,28 @@ def _unexplained_text(c: Claims) -> str:
 def _misfit_text(c: Claims) -> str:
     """Return a phrase on the signals on which the remaining error depends; "" if there are none."""
     where, share, changing = c.residual["equation"], c.residual["share"], [*c.residual["changing"]]
-    if c.residual["signals"]:
-        part = f"{percent(share)} of the" if share and share > 0.0 else "the"
-        return f"{part} remaining error{f' of {where}' if where else ''} {_dependence_text(c)}"
-    return f"the remaining error varies as if {join_names(changing)} changed during each log" if changing else ""
-
-
-def _dependence_text(c: Claims) -> str:
-    """Return a phrase on the dependence of the residual on a signal, from its first term."""
-    signal: str = c.residual["signals"][0]
-    first: Mapping[str, Any] = next(iter(c.residual["terms"]), {})
-    if not first.get("local"):
-        return "is constant" if signal == "1" else f"follows {signal}"
-    if first.get("like"):
-        return f"follows {signal}, as {first['like']} would"
-    shape = Shape.of_entry(first["equation"], first["local"])
+    if not c.residual["signals"]:
+        return f"the remaining error varies as if {join_names(changing)} changed during each log" if changing else ""
+    first = c.unnamed[0]
+    signal, shape = first.signal, first.shape
+    part = f"{percent(share)} of the" if share and share > 0.0 else "the"
+    text = f"{part} remaining error{f' of {where}' if where else ''}"
+    if shape is None:
+        return f"{text} is constant" if signal == "1" else f"{text} follows {signal}"
+    if first.like:
+        return f"{text} follows {signal}, as {first.like} would"
     place, width = amount(shape.place, shape.unit), amount(shape.width, shape.unit, 2)
     by = f", times {shape.factor}" if shape.factor else ""
     if shape.kind == "spline":
-        return f"follows {signal}{by}, but no simple law"
+        return f"{text} follows {signal}{by}, but no simple law"
     if shape.kind == "step" and abs(shape.place) < shape.width:
         like = ", as dry friction would" if shape.unit in {"m/s", "rad/s"} and not by else ""
-        return f"follows the sign of {signal}{by}{like}"
+        return f"{text} follows the sign of {signal}{by}{like}"
     ways = {"step": f" and changes at {place}", "wave": f" and repeats every {width}"}
-    return f"follows {signal}{ways.get(shape.kind, f', mainly near {place} (width {width})')}{by}"
+    return f"{text} follows {signal}{ways.get(shape.kind, f', mainly near {place} (width {width})')}{by}"
 
 
-def _remark_texts(c: Claims, remaining: NamedValues, file: str, nearest: str) -> Iterator[str]:
+def _remark_texts(c: Claims, remaining: NamedValues) -> Iterator[str]:
     """Yield sentences on the error that a claim or the nearest model leaves, and further remarks."""
     misfit = c.decision.misfit
     if c.decision.disputed and c.name != "unexplained":
@@ -305,7 +289,7 @@ def _remark_texts(c: Claims, remaining: NamedValues, file: str, nearest: str) ->
         yield f"In replays, {rest} of the error of {channel} above the noise floor remains."
     if remaining:
         share = sum(remaining.values()) / len(remaining)
-        who = f"{file}, the recalibrated model," if c.name == NO_EFFECT else file
+        who = "The recalibrated model" if c.name == NO_EFFECT else "The nearest model"
         if c.claimed is not None:
             who = "The most probable of these" if c.name == "ambiguous" else "The claim"
         removes = percent(1.0 - share) if share < 1.0 else "nothing"
@@ -318,47 +302,16 @@ def _remark_texts(c: Claims, remaining: NamedValues, file: str, nearest: str) ->
         more = "" if c.nearest is None else ", recalibrated"
         if c.nearest is not None and c.nearest.names:
             more = f" with {join_names(c.nearest.names)}"
-        told = "is the most probable model that predicts held-out logs no worse than the given model"
-        yield f"{nearest} {told}: the given model{more}."
+        yield (
+            "The nearest model is the most probable one that predicts held-out logs no worse than the given model: the "
+            f"given model{more}."
+        )
 
 
 def error_text(subject: Subject, channel: str, error: float, like: float) -> str:
     """Return an error of a channel as text, in a unit that suits the size `like`."""
     unit, factor = finer(next((q.unit for q in subject.outputs if q.name == channel), ""), like)
     return append_unit(plain(error * factor), unit)
-
-
-def _sizes(channels: Mapping[str, tuple[float, float]], subject: Subject) -> dict[str, list[str]]:
-    """Return channel → both errors as text, in a unit that suits the second one."""
-    return {name: [error_text(subject, name, e, pair[1]) for e in pair] for name, pair in channels.items()}
-
-
-def _rise_text(errors: Mapping[str, tuple[float, float]], subject: Subject, file: str) -> str:
-    """Return a sentence on channels whose error rises on sealed logs; "" if rounded values do not differ."""
-    changes = {
-        name: f"of {name} rises from {before} to {after}"
-        for name, (before, after) in _sizes(errors, subject).items()
-        if before != after
-    }
-    if not changes:
-        return ""
-    first, *others = changes
-    also = f" So does the error of {join_names(others)}." if others else ""
-    return f"On the sealed logs the error {changes[first]} with {file}.{also}"
-
-
-def floor_warning(part: str, channels: Mapping[str, tuple[float, float]], subject: Subject) -> str:
-    """Return a warning about channels whose noise floor is above the error.
-
-    Args:
-        channels: Channel → floor and error.
-    """
-    pairs = [f"{name} {error}, floor {floor}" for name, (floor, error) in _sizes(channels, subject).items()]
-    logs = "sealed" if part == "validation" else "estimation"
-    return (
-        f"on the {logs} logs the error is below its noise floor ({'; '.join(pairs)}). These logs contain less noise "
-        "and disturbance than was estimated, so the floor does not apply to them"
-    )
 
 
 # From hypotheses to claims: bundle, lack of fit, decision, and choice of the delivered model.
@@ -378,7 +331,7 @@ def claims_of(study: Study, search: Search, progress: Progress) -> Claims:
     kernel = subject.kernel(search.problem.layout.outputs, unnamed=True, constant=study.settings.per_log)
     values = {**dict.fromkeys(kernel.layout.parameters, 0.0), **search.problem.values}
     nameless = replace(search.problem, kernel=kernel, values=values, sensing=best.fit.noise)
-    leftover = find_unnamed_terms(nameless, best.fit, search.price, units)
+    leftover = find_unnamed_terms(nameless, best.fit, units)
     by_chance = TESTS * chance_of(nameless, leftover, best.fit)
     leftover = leftover if by_chance < MISFIT else Leftover()
     changing = {name: (change, TESTS * p) for name, (change, p) in drifts(search.problem, best.fit).items()}
@@ -403,7 +356,7 @@ def claims_of(study: Study, search: Search, progress: Progress) -> Claims:
     }
     quiet = replace(refined(best.fit), noise=log_noise(best.fit.noise, search.free_noise))
     floor = noise_floor(quiet, search.problem, logs, np.random.default_rng(FLOOR_SEED))
-    misfit = misfit_of(by_chance, moves, errors, floor.level, beside)
+    misfit = misfit_of(by_chance, moves, errors, floor, beside)
     claimed = None
     if max(first.inclusion.values(), default=0.0) >= CERTAIN:
         claimed = with_intervals(search, best)
@@ -442,6 +395,7 @@ def claims_of(study: Study, search: Search, progress: Progress) -> Claims:
         experiment=experiment,
         equivalent=[*alike.values()],
         residual=residual,
+        unnamed=leftover.terms,
         moves=moves,
         hidden=[name for name in search.hidden if name not in decision.claimed],
         ladder=ladder,
@@ -501,7 +455,7 @@ def _residual(problem: Problem, base: Fit, best: Fit, leftover: Leftover) -> dic
         equation: {
             "before": float(before),
             "after": float(after),
-            "inflated": gain > unknown_input_gain(problem),
+            "inflated": gain > problem.price,
             "gain": gain,
         }
         for (equation, before, after), gain in zip(densities, noise_gains(problem, best), strict=True)

@@ -12,7 +12,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import chain, pairwise
+from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -40,7 +40,6 @@ from cosim.estimation.fit import Fit, expected_values, group_values, inverse
 from cosim.estimation.kernel.kernel import CORRELATION_TIME, Begin, simulate_all
 from cosim.estimation.posing import with_likely_starts, with_logs
 from cosim.estimation.problem import Noise, Problem
-from cosim.estimation.subject.candidates import own
 from cosim.estimation.subject.interface import Replayer, Start, Subject, Workplace
 from cosim.logs.log import Log
 from cosim.model.namespaces import arrays
@@ -242,8 +241,16 @@ class LogReplays:
         """Return the errors of replays against a simulation with random noise and random deviations of start states."""
         problem, noise, data, rows = self.problem, self.variant.noise, self.data, self.rows
         errors = rng.standard_normal(data.y.shape) * np.sqrt(problem.variances(noise, self.index))
-        if problem.layout.is_free_run:
-            errors += self._random_deviations(rng)
+        if problem.layout.is_free_run:  # deviations of the outputs, driven by the fitted unknown inputs
+            propagation = problem.kernel.responses(data, problem.x0[self.index])[1]  # type: ignore[attr-defined]
+            fades = math.exp(-data.step / math.exp(noise.memory))
+            inputs = rng.standard_normal(data.y.shape) * np.exp(0.5 * noise.power)
+            deviations = np.zeros((len(inputs) + 1, inputs.shape[1]))  # one more row, for the row before the first
+            for k in range(1, len(inputs)):
+                both = np.concatenate([deviations[k], deviations[k - 1]])
+                deviations[k + 1] = propagation @ both + data.step * inputs[k - 1]
+                inputs[k] = fades * inputs[k - 1] + math.sqrt(1.0 - fades**2) * inputs[k]
+            errors += deviations[1:]
         else:
             layout, starts = problem.layout, self.filtered.states.copy()
             if self.filtered.covariances is not None:
@@ -261,19 +268,6 @@ class LogReplays:
                 errors += self._simulate({**self.variant.values, **memory}, starts, kicks) - self.predicted
         errors = np.where(np.isnan(data.y), np.nan, errors) / self.gains
         return dict(zip(problem.layout.outputs, errors.T, strict=True))
-
-    def _random_deviations(self, rng: np.random.Generator) -> Array:
-        """Return random deviations of the outputs of a free run, driven by the fitted unknown inputs."""
-        noise, data, kernel = self.variant.noise, self.data, self.problem.kernel
-        propagation = kernel.responses(data, self.problem.x0[self.index])[1]  # type: ignore[attr-defined]
-        fades = math.exp(-data.step / math.exp(noise.memory))
-        inputs = rng.standard_normal(data.y.shape) * np.exp(0.5 * noise.power)
-        deviations = np.zeros((len(inputs) + 1, inputs.shape[1]))  # one more row, for the row before the first
-        for k in range(1, len(inputs)):
-            both = np.concatenate([deviations[k], deviations[k - 1]])
-            deviations[k + 1] = propagation @ both + data.step * inputs[k - 1]
-            inputs[k] = fades * inputs[k - 1] + math.sqrt(1.0 - fades**2) * inputs[k]
-        return deviations[1:]
 
     def _simulate(self, values: NamedValues, starts: Mapping[int, Array] | Array, kicks: Array | None = None) -> Array:
         """Return outputs of simulations from given states; infinite where they diverge, NaN in other rows."""
@@ -315,58 +309,27 @@ def predicted_errors(variants: Sequence[Variant], problem: Problem, logs: Sequen
     return {n: math.inf if n in diverged else size for n, size in pool_errors(errors).items()}
 
 
-@dataclass(frozen=True)
-class Floor:
-    """Noise floor of each channel, and its scatter over random draws.
-
-    Attributes:
-        level: Channel → RMSE of replays against simulations of the same model with noise.
-        scatter: Channel → standard deviation of the logarithm; channels with only one draw are left out.
-    """
-
-    level: NamedValues
-    scatter: NamedValues
+Floors = Mapping[Part, NamedValues]  # set of logs → channel → noise floor
 
 
-Floors = Mapping[Part, Floor]
-
-
-def noise_floor(variant: Variant, problem: Problem, logs: Sequence[Log], rng: np.random.Generator) -> Floor:
+def noise_floor(variant: Variant, problem: Problem, logs: Sequence[Log], rng: np.random.Generator) -> dict[str, float]:
     """Return the noise floor: errors of replays against simulations of the same model with random noise.
 
     Each simulation starts at the filtered state plus a random deviation with the filter's covariance, so that it stays
     near the motion in the log. A floor above the standard deviation of its channel is left out.
     """
     problem = begin_replays(variant, problem, logs)
-    draws: list[list[dict[str, Array]]] = [[] for _ in range(-(-FLOOR_DRAWS // len(logs)))]
+    draws = list[dict[str, Array]]()
     for index, log in enumerate(logs):
         replays = LogReplays(variant, problem, log, index)
-        for draw in draws:
-            draw.append(replays.random_errors(rng))
-    each = [*map(pool_errors, draws)]
-    level, scatter = {}, {}
-    for name, size in pool_errors(chain.from_iterable(draws)).items():
+        draws += [replays.random_errors(rng) for _ in range(-(-FLOOR_DRAWS // len(logs)))]
+    level = {}
+    for name, size in pool_errors(draws).items():
         readings = np.concatenate([np.zeros(0), *(log.outputs[name] for log in logs if name in log.outputs)])
         readings = readings[np.isfinite(readings)]
-        if readings.size > 1 and size > float(np.std(readings)):
-            continue
-        level[name] = size
-        sizes = [draw[name] for draw in each if draw[name] > 0.0]
-        if len(sizes) > 1:
-            scatter[name] = float(np.std(np.log(sizes), ddof=1))
-    return Floor(level, scatter)
-
-
-def final_log_parameters(variant: Variant, problem: Problem, logs: Sequence[Log]) -> dict[str, float]:
-    """Return parameter per log → filtered value at the end of the logs."""
-    if not logs or not problem.layout.constants:
-        return {}
-    problem, ends = with_logs(variant.subject, problem, logs), dict[str, float]()
-    for index, origin in enumerate(problem.origins):
-        last = problem.drop_unknown_inputs(problem.run(variant.values, variant.noise, index).states[-1])
-        for name, place in problem.layout.constants.items():
-            ends[own(name, origin.group)] = float(last[place])
-    return ends
+        if readings.size < 2 or size <= float(np.std(readings)):
+            level[name] = size
+    return level
 
 
 def find_rises(before: ReplayedLogs, after: ReplayedLogs) -> dict[str, tuple[float, float]]:

@@ -29,11 +29,8 @@ from cosim.core.text import (
 from cosim.core.units import unit_of_rate
 from cosim.core.version import __version__
 from cosim.credibility.bands import Coverage
-from cosim.estimation.data import count_unscored, past_reading
 from cosim.estimation.fit import Fit
-from cosim.estimation.problem import Problem
-from cosim.estimation.subject.candidates import Candidate, Free
-from cosim.estimation.subject.interface import Subject
+from cosim.estimation.subject.candidates import Free
 from cosim.files.files import atomic_write, path_from_here
 from cosim.fmi.building.refined import NEAREST, REFINED
 from cosim.logs.log import NORMAL_95
@@ -42,21 +39,12 @@ from cosim.refinement.decision.posterior import CERTAIN
 from cosim.refinement.proof.measure import Part, ReplayedLogs
 from cosim.refinement.refinement import Refinement
 from cosim.refinement.search.fits import Hypothesis
-from cosim.refinement.search.missing import (
-    MAX_SMOOTHED_ROWS,
-    contributions,
-    loosen_noise,
-    outputs_along,
-    smooth_logs,
-    smoothed_logs,
-)
-from cosim.refinement.search.unnamed import signal_units, signals_of
+from cosim.refinement.search.unnamed import contributions, signal_units, signals_of, smooth_logs
 from cosim.report.charts import Charts, Drawing, Plot
 from cosim.report.panels import Band, Panel, Trace, extent, signal_panel
 from cosim.report.template import Row, command, places, render
 from cosim.residuals.compare import horizon_name
-from cosim.residuals.report import neighbours
-from cosim.residuals.residual_statistics import FREE_RUN, lags_of, remaining_excess, rmse, whiteness
+from cosim.residuals.residual_statistics import FREE_RUN, remaining_excess, rmse
 from cosim.residuals.windows import SKIPPED
 from cosim.scenario.scenario_file import sha256
 
@@ -99,8 +87,6 @@ def write_refine_report(path: Path, r: Refinement) -> None:
         "terms": shown_effects(r, charts),
         "beside": join_names(r.verdict.best.names),
         "runs": runs(r, charts, leading),
-        "whiteness": innovations(r, charts),
-        "modes": modes(r),
         "fitted": f"{sum(e['fitted'] for e in tried)} of {counted(len(tried), 'hypothesis')} fitted",
         "ranking": ranking(r),
         "posterior": posterior_rows(r),
@@ -109,7 +95,6 @@ def write_refine_report(path: Path, r: Refinement) -> None:
         "dispersed": DISPERSED,
         "parameters": parameter_tables(r),
         "per_log": per_log_rows(r),
-        "noise": noise_rows(r),
         "repeat": _repeat(r),
         "provenance": _provenance(r),
     }
@@ -183,7 +168,7 @@ def _repeat(r: Refinement) -> str:
 
 def _provenance(r: Refinement) -> list[Row]:
     """Return table rows with the files of the study and of its results, and versions."""
-    study, subject, claim = r.study, r.study.subject, r.verdict.claimed
+    study, subject = r.study, r.study.subject
     rows = [Row("Study", str(path_from_here(study.path)))] if study.path else []
     rows.append(Row("Model", str(path_from_here(subject.source)), study.content.model if study.path else ""))
     logs = [("Estimation log", log) for log in study.logs]
@@ -193,13 +178,12 @@ def _provenance(r: Refinement) -> list[Row]:
         rows.append(Row(label, str(path_from_here(log.path)), f"{note}\nsha256 {sha256(log.path)}"))
     taken = r.record["inputs"]["taken"].items()
     rows.append(Row("Inputs between rows", ", ".join(f"{n} {way}" for n, way in taken)))
-    labels = ("Refined model", "Refined FMU") if claim else ("Model, unchanged", "FMU, unchanged")
-    licence = f"\ncontains {Path(subject.source).name}: check its licence before you distribute it" * subject.probed
-    for name, label in zip((*REFINED, *NEAREST), (*labels, "Nearest model", "Nearest FMU"), strict=True):
+    for name in (*REFINED, *NEAREST):
         if (file := r.folder / name).is_file():
-            rows.append(Row(label, str(path_from_here(file)), f"sha256 {sha256(file)}{licence}"))
-    is_stated = any(subject.values[n] != float(p.default) for n, p in subject.sensor_parameters.items())
-    if is_stated or any(c.kind == "sensor" for c in (claim.candidates if claim else ())):
+            rows.append(Row("Result", str(path_from_here(file)), f"sha256 {sha256(file)}"))
+    if subject.probed:
+        rows.append(Row("Licence", f"the result contains {Path(subject.source).name}: check its licence"))
+    if any(c.kind == "sensor" for c in (r.verdict.claimed.candidates if r.verdict.claimed else ())):
         place = "refine.json" if subject.probed else "model.yaml"
         rows.append(Row("Sensors", f"sensor errors are in {place}; the FMU computes true outputs, not readings"))
     return [*rows, Row("Made by", f"cosim {__version__}, Python {platform.python_version()}, numpy {np.__version__}")]
@@ -219,7 +203,7 @@ def ranking(r: Refinement) -> TableRows:
 
 
 def posterior_rows(r: Refinement) -> TableRows:
-    """Return table rows of probable hypotheses, the recalibrated and the delivered model; others are one row."""
+    """Return table rows of probable hypotheses, the recalibrated and the delivered model."""
     record, claim, near, rows = r.record, r.verdict.claimed, r.verdict.nearest, list[dict[str, Any]]()
     held_out = {}
     for e in record["ladder"]:
@@ -229,12 +213,9 @@ def posterior_rows(r: Refinement) -> TableRows:
     outcome = "delivered" if r.verdict.name == "ambiguous" else "claimed"  # rivals are not claimed
     known = [(near, "nearest model", "nearest"), (claim, outcome, "after")]  # with the key of their errors
     delivered = {h.key: (outcome, variant) for h, outcome, variant in known if h}
-    others = 0
-    rest = {"share": 0.0, "why": "", "error": MISSING, "sealed": MISSING, "claimed": False}
     for entry in record["posterior"]:
         names, probability = frozenset[str](entry["names"]), entry["probability"]
         if names and names not in delivered and probability < 1.0 - CERTAIN:
-            others, rest["share"] = others + 1, rest["share"] + probability
             continue
         outcome, variant = delivered.get(names, ("", "" if names else "recalibrated"))
         rival = "rival" if r.verdict.decision.is_rival(names) else ""
@@ -247,7 +228,7 @@ def posterior_rows(r: Refinement) -> TableRows:
             "claimed": outcome == "claimed",
         }
         rows.append(row)
-    return [*rows, {"names": f"{counted(others, 'other set')} together", **rest}] if others else rows
+    return rows
 
 
 def _sealed_ratio(errors: Mapping[str, Any], variant: str) -> float:
@@ -310,32 +291,13 @@ def _parameter_row(r: Refinement, free: Free, h: Hypothesis) -> dict[str, Any]:
     }
 
 
-def per_log_rows(r: Refinement) -> list[tuple[Any, ...]]:
-    """Return a row for each parameter per log and group, fitted values first."""
-    rows = []
-    for name, entry in r.record["per_log"].items():
-        unit = entry["unit"]
-        for group, e in (entry["groups"] | entry["followed"]).items():
-            interval, how = " … ".join(amount(bound, unit) for bound in e.get("ci95", ())), "fitted"
-            if not interval:
-                start = f"{amount(e['expected'], unit)} ± {amount(e['spread'], unit, 2, difference=True)}"
-                how = f"by the filter at the end of the log, from {start} (one standard deviation)"
-            rows.append((name, group, amount(e["value"], unit, None), interval or MISSING, how))
-    return rows
-
-
-def noise_rows(r: Refinement) -> list[tuple[str, ...]]:
-    """Return table rows with the process noise of each equation; none if the fit trusted the equations.
-
-    √q is the drift of a state that its equation does not explain, in the unit of the state per √s.
-    """
-    units, rows = {q.name: q.unit for q in r.study.subject.states}, []
-    for name, q in ({} if r.problem.trusted else r.record["residual"]["process_noise"]).items():
-        sizes = math.sqrt(q["before"]), math.sqrt(q["after"])
-        unit, factor = finer(units.get(name, ""), max(sizes))
-        texts = (append_unit(plain(x * factor, 2), f"{unit} per √s".lstrip()) for x in sizes)
-        rows.append((name, *texts, "incomplete" if q["inflated"] else "complete"))
-    return rows
+def per_log_rows(r: Refinement) -> list[tuple[str, ...]]:
+    """Return a row for each parameter per log and group."""
+    return [
+        (name, group, amount(e["value"], e["unit"], None), " … ".join(amount(bound, e["unit"]) for bound in e["ci95"]))
+        for name, entry in r.record["per_log"].items()
+        for group, e in entry["groups"].items()
+    ]
 
 
 def horizon(r: Refinement) -> str:
@@ -399,9 +361,6 @@ def second_sentence(r: Refinement) -> str:
     return f"{text}." if math.isnan(sizes["floor"]) else f"{text}; the noise floor is {shown['floor']}."
 
 
-PRODUCT_SIGN = " · "  # between the signals of a product
-
-
 def runs(r: Refinement, charts: Charts, leading: str) -> list[dict[str, Any]]:
     """Return title, channels and plots of the first sealed and the first estimation log; channel `leading` is first."""
     pages = []
@@ -450,57 +409,8 @@ def _channel(drawing: Drawing, curves: Sequence[tuple[str, str, ReplayedLogs]], 
     return drawing.plots(panels)
 
 
-def innovations(r: Refinement, charts: Charts) -> list[dict[str, Any]]:
-    """Return statistics and plots of the normalised innovations of each channel.
-
-    Models before and after are compared; without a claim, the filter of the fit and a filter with trusted equations.
-    """
-    after, problem = r.variants["after"], r.problem
-    pairs = [(after, replace(after.noise, power=problem.noise.smallest)), (after, after.noise)]
-    if r.verdict.claimed:
-        pairs[0] = (r.variants["before"], after.noise)
-    both = []
-    for variant, noise in pairs:
-        parts = []
-        for k, data in enumerate(problem.logs):
-            run = problem.run(variant.values, noise, k, states=False)
-            first = min(count_unscored(data), max(0, len(run.errors) - 2))
-            scaled = (run.errors / np.sqrt(run.variances))[first:]
-            parts.append(np.where(np.isfinite(scaled), scaled, np.nan))
-        both.append(parts)
-    names, styles, step = modes(r), ("s1", "true"), problem.logs[0].step
-    drawing = charts.over(problem.logs[0].times[-len(both[0][0]) :])
-    lags = lags_of(min(len(part) for part in both[0]), step)
-    over_lags = charts.over(step * np.arange(1.0, lags + 1.0), ("lag", "s"))
-    gap = np.full(lags + 1, np.nan)  # a gap between logs, longer than any lag
-    found = []
-    for channel in dict.fromkeys(n for log in r.study.logs for n in log.outputs if n in problem.layout.outputs):
-        column = problem.layout.outputs.index(channel)
-        series = [[part[:, column] for part in parts] for parts in both]
-        tests = [whiteness(np.concatenate([piece for part in s for piece in (part, gap)]), lags) for s in series]
-        edge, width = np.full(series[0][0].size, NORMAL_95), np.full(lags, np.nan_to_num(tests[1].band))
-        traces = [Trace(n, s[0], style) for n, s, style in zip(names, series, styles, strict=True)]
-        rho = [Trace(n, test.rho[1:], style) for n, test, style in zip(names, tests, styles, strict=True)]
-        course = Panel(f"Innovation of {channel}", "σ", traces, Band("95 % of what is expected", -edge, edge))
-        beside = Panel(f"Autocorrelation of {channel}", "1", rho, Band("95 % band if white", -width, width))
-        row = {
-            "channel": channel,
-            "size": [plain(rmse(np.concatenate(s)), 2) for s in series],
-            "neighbours": [neighbours(t) for t in tests],
-            "white": [MISSING if np.isnan(t.p_value) else "yes" if t.white else "no" for t in tests],
-            "plots": [*drawing.plots([course]), *over_lags.plots([beside])],
-        }
-        found.append(row)
-    return found
-
-
-def modes(r: Refinement) -> tuple[str, str]:
-    """Return the labels of the compared models, or of the compared filters without a claim."""
-    return ("before", "refined") if r.verdict.claimed else ("no disturbance", "disturbance estimated")
-
-
 class Regressor(NamedTuple):
-    """A signal over which a missing quantity is plotted, with the rows of some logs one after another."""
+    """A signal over which a missing derivative is plotted, with the rows of some logs one after another."""
 
     name: str
     unit: str
@@ -509,146 +419,79 @@ class Regressor(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class EffectComparison:
-    """A missing quantity, estimated from the logs, and the claimed term.
+    """A missing derivative, estimated from the logs, and the claimed term.
 
     Attributes:
-        where: State or channel that lacks the quantity.
-        unit: Unit of the missing quantity.
-        estimated: Estimate without the claim, in each row. sigma: Standard deviation of the estimate.
+        where: State whose derivative is incomplete.
+        unit: Unit of the derivative.
+        estimated: Estimate without the claim, in each row.
         term: Claimed value; None without a claim.
-        first: Number of rows of the first log.
     """
 
     effect: str
-    kind: str
     where: str
     unit: str
     against: Regressor
-    time: Array
     estimated: Array
-    sigma: Array
-    first: int
     term: Array | None = None
 
     @property
-    def quantity(self) -> str:
-        """Return a phrase for the missing quantity."""
-        return f"error of {self.where}" if self.kind == "sensor" else f"missing derivative of {self.where}"
-
-    @property
     def share(self) -> float:
-        """Return the share of the mean square that the term explains."""
-        return math.nan if self.term is None else _explained(self.estimated, self.term)
-
-
-def _explained(values: Array, term: Array) -> float:
-    """Return the share of a mean square that a term explains, at least 0."""
-    power = float(np.mean(values**2))
-    return max(0.0, 1.0 - float(np.mean((values - term) ** 2)) / power) if power else math.nan
+        """Return the share of the mean square that the term explains, at least 0."""
+        power = float(np.mean(self.estimated**2))
+        if self.term is None or not power:
+            return math.nan
+        return max(0.0, 1.0 - float(np.mean((self.estimated - self.term) ** 2)) / power)
 
 
 def compare_effects(r: Refinement) -> list[EffectComparison]:
     """Return a comparison for each claimed effect; without a claim, the unexplained missing derivative."""
-    claim, problem, subject = r.verdict.claimed, r.problem, r.study.subject
+    claim = r.verdict.claimed
     if claim is None:
         return [_compare_equation(r, r.verdict.best.fit)] if r.verdict.name == "unexplained" else []
     compared = []
     for c in claim.candidates:
-        if c.kind == "sensor":
-            compared.append(_compare_sensor(subject, problem, c, claim.fit))
+        if c.kind == "sensor" or r.problem.layout.is_free_run:
             continue
         without = r.verdict.base.fit
         if len(claim.candidates) > 1:  # keep the other candidates, so that only this term is missing
-            neutral = {n: problem.values[n] for n in c.parameters}
+            neutral = {n: r.problem.values[n] for n in c.parameters}
             without = replace(without, values={**claim.fit.values, **neutral})
-        compared.append(_compare_equation(r, without, c, claim.fit))
+        compared.append(_compare_equation(r, without, c.name, claim.fit))
     return compared
 
 
-def _compare_equation(
-    r: Refinement, without: Fit, candidate: Candidate | None = None, with_it: Fit | None = None
-) -> EffectComparison:
-    """Compare the derivative that a model lacks with the term of a claimed candidate, if any.
+def _compare_equation(r: Refinement, without: Fit, effect: str = "", with_it: Fit | None = None) -> EffectComparison:
+    """Compare the derivative that a model lacks with the term of a claimed effect, if any.
 
-    The equation is the one whose term is largest relative to its uncertainty; without a candidate, the equation in the
+    The equation is the one whose term is largest relative to its uncertainty; without an effect, the equation in the
     entry `residual`.
     """
     subject, problem = r.study.subject, r.problem
-    missing = smooth_logs(problem, without, deviations=bool(candidate) and problem.layout.is_free_run)
+    missing = smooth_logs(problem, without)
     terms = missing.value
     if with_it is not None:
         terms = np.vstack([contributions(problem, without, with_it, k) for k in range(len(missing.rows))])
     column = int(np.argmax(np.sqrt(np.mean(terms**2, axis=0)) / np.median(missing.sigma, axis=0)))
-    if candidate is None and r.verdict.residual["equation"] in missing.equations:
+    if not effect and r.verdict.residual["equation"] in missing.equations:
         column = missing.equations.index(r.verdict.residual["equation"])
-    where = missing.equations[column]
-    drawn = subject.drawn_against.get(candidate.name, ()) if candidate else ()
+    where, units, signals = missing.equations[column], signal_units(subject), list[Regressor]()
+    for name, x in signals_of(problem, missing).items():
+        if name in units and name.partition(".")[0] not in subject.present:
+            is_wrapped = units[name] == "rad" and np.ptp(x) > 2.0 * np.pi  # an angle of more than one turn
+            signals.append(Regressor(name, units[name], np.mod(x, 2.0 * np.pi) if is_wrapped else x))
+
+    def variance_within(s: Regressor) -> float:
+        return sum(float(np.var(terms[rows, column])) * rows.size for rows in _bins(s.values))
+
     return EffectComparison(
-        effect=candidate.name if candidate else "",
-        kind=candidate.kind if candidate else "nameless",
+        effect=effect,
         where=where,
         unit=next((unit_of_rate(q.unit) for q in subject.states if q.name == where), ""),
-        against=_choose(subject, signals_of(problem, missing), drawn, terms[:, column]),
-        time=missing.time,
+        against=min(signals, key=variance_within),
         estimated=missing.value[:, column],
-        sigma=missing.sigma[:, column],
-        first=missing.rows[0].stop - missing.rows[0].start,
-        term=terms[:, column] if candidate else None,
+        term=terms[:, column] if effect else None,
     )
-
-
-def _compare_sensor(subject: Subject, problem: Problem, c: Candidate, claim: Fit) -> EffectComparison:
-    """Compare estimated and claimed error of a sensor, along the filtered states of the refined model.
-
-    The output is the one with the largest error.
-    """
-    kind: Any = next(k for k in subject.sensors if k.name == c.name)
-    names, parts, noise = problem.layout.outputs, [], loosen_noise(problem, claim.noise)
-    neutral = {**claim.values, **{n: problem.values[n] for n in c.parameters}}
-    for index in smoothed_logs(problem):
-        data, run = problem.logs[index], problem.run(claim.values, noise, index)
-        count = min(len(data.u), MAX_SMOOTHED_ROWS) - 1
-        clean = outputs_along(problem, index, neutral, run, count)
-        wrong, times = outputs_along(problem, index, claim.values, run, count), data.times[:count]
-        if kind.depends_on_past():
-            sensor = kind(value=claim.values[c.parameters[0]])
-            wrong = np.column_stack([past_reading(sensor, times, column) for column in clean.T])
-        rate = np.gradient(clean, data.step, axis=0)
-        scored = slice(min(count_unscored(data), count - 1), count)
-        parts.append([rows[scored] for rows in (times, clean, wrong, data.y[:count], rate)])
-    time, clean, wrong, y, rate = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
-    sizes = np.sqrt(np.nanmean((wrong - clean) ** 2, axis=0) / problem.r)
-    channel = max((names.index(n) for n in kind.affected() if n in names), key=lambda k: sizes[k])
-    rows = np.isfinite(y[:, channel]) & np.isfinite(wrong[:, channel])
-    name, term = names[channel], (wrong - clean)[rows, channel]
-    signals = {"time": time[rows], **dict(zip(names, clean[rows].T, strict=True))}
-    signals[f"rate of {name}"] = rate[rows, channel]
-    return EffectComparison(
-        effect=c.name,
-        kind="sensor",
-        where=name,
-        unit=next(q.unit for q in subject.outputs if q.name == name),
-        against=_choose(subject, signals, subject.drawn_against.get(c.name, ()), term),
-        time=time[rows],
-        estimated=(y - clean)[rows, channel],
-        sigma=np.full(len(term), float(np.sqrt(problem.r[channel]))),
-        first=int(rows[: len(parts[0][0])].sum()),
-        term=term,
-    )
-
-
-def _choose(subject: Subject, signals: Mapping[str, Array], suggested: Sequence[str], values: Array) -> Regressor:
-    """Return the signal whose bins explain most of the variance of `values`; suggested ones first."""
-    units = signal_units(subject)
-    names = [n for n in suggested if all(one in signals for one in n.split(PRODUCT_SIGN))]
-    found = []
-    for name in names or [n for n in signals if n in units and n.partition(".")[0] not in subject.present]:
-        parts = name.split(PRODUCT_SIGN)
-        x = np.prod([signals[one] for one in parts], axis=0)
-        if units.get(name) == "rad" and np.ptp(x) > 2.0 * np.pi:  # an angle of more than one turn is wrapped
-            x = np.mod(x, 2.0 * np.pi)
-        found.append(Regressor(name, PRODUCT_SIGN.join(units[one] for one in parts), x))
-    return min(found, key=lambda s: sum(float(np.var(values[rows])) * rows.size for rows in _bins(s.values)))
 
 
 def _bins(x: Array) -> list[Rows]:
@@ -656,56 +499,23 @@ def _bins(x: Array) -> list[Rows]:
     return np.array_split(np.argsort(x, kind="stable"), max(1, round(math.sqrt(x.size))))
 
 
-# -- page -------------------------------------------------------------------------------------
-
-
 def shown_effects(r: Refinement, charts: Charts) -> list[dict[str, Any]]:
-    """Return title, sentence and plots of each comparison."""
-    return [
-        {
-            "title": s.effect or s.where,
-            "brief": s.quantity if s.term is None else f"{s.effect} explains {percent(s.share)} of the {s.quantity}",
-            "sentence": f"{_sentence(s)} ({counted(s.estimated.size, 'row')} of the estimation logs).",
-            "plots": _plots(s, charts),
-        }
-        for s in compare_effects(r)
-    ]
-
-
-def _sentence(s: EffectComparison) -> str:
-    """Return a sentence on the share that the term explains."""
-    if s.term is None:
-        return f"The {s.quantity} is drawn against {s.against.name}, which it follows most"
-    text = f"{s.effect} explains {percent(s.share)} of the mean square {s.quantity}"
-    if s.kind == "sensor":
-        return f"{text}; the rest is sensor noise"
-    estimated, term = (np.array([v[rows].mean() for rows in _bins(s.against.values)]) for v in (s.estimated, s.term))
-    return f"{text} in single rows, and {percent(_explained(estimated, term))} in means over {s.against.name}"
-
-
-def _plots(s: EffectComparison, charts: Charts) -> list[Plot]:
-    """Draw the missing quantity and the claimed term: means over a signal, and the first log over time.
-
-    Estimates of neighbouring rows are correlated, so each passage of the signal through an interval counts only once.
-    """
-    (unit, factor), x = display(s.unit), displayed(s.against.values, s.against.unit)
-    title, bins = f"{s.quantity[0].upper()}{s.quantity[1:]}", _bins(x)
-    passes = np.array([1 + np.count_nonzero(np.diff(np.sort(rows)) > 1) for rows in bins])
-    places, mean = (np.array([v[rows].mean() for rows in bins]) for v in (x, factor * s.estimated))
-    variance = np.array([s.estimated[rows].var() + np.mean(s.sigma[rows] ** 2) for rows in bins])
-    around = factor * NORMAL_95 * np.sqrt(variance / passes)
-    estimated, width = factor * s.estimated, factor * 2.0 * s.sigma
-    means = [
-        Trace("data, with 95 %", mean - around, "warm", x=places, upper=mean + around),
-        Trace("mean", mean, "s1 dots", x=places),
-    ]
-    course, first = [Trace("data", estimated[: s.first], "estimate")], slice(s.first)
-    if s.term is not None:
-        term = factor * s.term
-        means.append(Trace(s.effect, np.array([term[rows].mean() for rows in bins]), "true", x=places))
-        course.append(Trace(s.effect, term[first], "true"))
-    over = s.against.name, PRODUCT_SIGN.join(display(u)[0] or u for u in s.against.unit.split(PRODUCT_SIGN)) or "1"
-    against = Panel(f"{title} against {s.against.name}", unit or "1", means)
-    band = Band("±2σ", (estimated - width)[first], (estimated + width)[first])
-    time = charts.over(s.time[first]).plots([Panel(f"{title} over time", unit or "1", course, band)])
-    return [charts.alone(against, extent([x]) or (0.0, 1.0), over), *time]
+    """Return title, sentence and chart of each comparison: means of both quantities over the signal."""
+    shown = []
+    for s in compare_effects(r):
+        where, (unit, factor), x = f"missing derivative of {s.where}", display(s.unit), s.against.values
+        sentence = f"The {where} is drawn against {s.against.name}, which it follows most"
+        if s.term is not None:
+            sentence = f"{s.effect} explains {percent(s.share)} of the mean square of the {where} in single rows"
+        bins = _bins(x)
+        places, mean = (np.array([v[rows].mean() for rows in bins]) for v in (x, factor * s.estimated))
+        places = displayed(places, s.against.unit)
+        traces = [Trace("data, mean", mean, "s1 dots", x=places)]
+        if s.term is not None:
+            traces.append(Trace(s.effect, factor * np.array([s.term[rows].mean() for rows in bins]), "true", x=places))
+        panel = Panel(f"Missing derivative of {s.where} against {s.against.name}", unit or "1", traces)
+        over = s.against.name, display(s.against.unit)[0] or s.against.unit or "1"
+        text = f"{sentence} ({counted(s.estimated.size, 'row')} of the estimation logs)."
+        plot = charts.alone(panel, extent([places]) or (0.0, 1.0), over)
+        shown.append({"title": s.effect or s.where, "sentence": text, "plots": [plot]})
+    return shown

@@ -25,7 +25,7 @@ from cosim.estimation.problem import Problem
 from cosim.estimation.screen import Choice, Promise, ScoreTest, Terms
 from cosim.estimation.subject.candidates import Candidate, values_of_special_case
 from cosim.estimation.subject.interface import Subject
-from cosim.refinement.decision.bundle import evidence, held_out_errors, noise_gains, optima, unknown_input_gain
+from cosim.refinement.decision.bundle import evidence, held_out_errors, noise_gains, optima
 from cosim.refinement.decision.posterior import (
     CERTAIN,
     CLEARLY,
@@ -92,7 +92,12 @@ class Attributor(Search):
             is_first = len(self.tried) == 1
             stage = "trying every effect, sensor and parameter" if is_first else "searching for further candidates"
             fitted = self.fit_all(proposed, best, stage)
-            self.fit_all(self._reductions(fitted), best, "removing candidates without effect")
+            reduced: dict[Names, Trial] = {}  # without parts that have no effect
+            for h in fitted:
+                parts = tuple(c for c in h.candidates if h.loss_without(c, self.problem.values) > self.cost([c]))
+                if parts and len(parts) < len(h.candidates):
+                    reduced[key_of(parts)] = parts, {n: h.fit.values[n] for c in parts for n in c.parameters}
+            self.fit_all([*reduced.values()], best, "removing candidates without effect")
             self._rescore()
             before, best = self.tried[best.key].score, best_hypothesis(self.tried.values())
             if best.score > before - DONE * self.problem.scatter:
@@ -228,16 +233,6 @@ class Attributor(Search):
                 rest = [name for name in best.names if name != part]
                 replacements = chain([()], combinations(others, 1), combinations(likely, 2))
                 yield from ((*rest, *more) for more in replacements)
-
-    def _reductions(self, fitted: Sequence[Hypothesis]) -> list[Trial]:
-        """Return the candidates of each fit without parts that have no effect."""
-        sets: dict[Names, Trial] = {}
-        for h in fitted:
-            neutral = self.problem.values
-            parts = tuple(c for c in h.candidates if h.loss_without(c, neutral) > self.cost([c]))
-            if parts and len(parts) < len(h.candidates):
-                sets[key_of(parts)] = parts, {n: h.fit.values[n] for c in parts for n in c.parameters}
-        return list(sets.values())
 
     def _finish(self, base: Hypothesis, best: Hypothesis) -> None:
         """Fit the best hypotheses and their neighbours to convergence, with all substeps."""
@@ -389,7 +384,7 @@ def attribute(subject: Subject, problem: Problem, candidates: Sequence[Candidate
         return float(np.mean(held_out_errors(search, h, h.fit)))
 
     free = Attributor(subject, problem, candidates, progress).run()
-    if not any(gain > unknown_input_gain(problem) for gain in noise_gains(free.problem, free.best.fit)):
+    if not any(gain > problem.price for gain in noise_gains(free.problem, free.best.fit)):
         return free
     progress("predicting without process noise", 0.0)
     given = {h.key: (h, error(free, h)) for h in (free.tried[frozenset()], free.best)}

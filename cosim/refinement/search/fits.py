@@ -100,7 +100,7 @@ class Search:
 
     def __init__(self, subject: Subject, problem: Problem, on_trial: int, progress: Progress) -> None:
         self.subject, self.problem, self.progress = subject, problem, progress
-        self.price = 0.5 * np.log(max(2, problem.samples))
+        self.price = problem.price
         self.on_trial, self.candidates, self.hidden = on_trial, list[Candidate](), tuple[str, ...]()
         self.free_noise: Noise | None = None
         self.tried: dict[Names, Hypothesis] = {}

@@ -19,20 +19,20 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 from scipy.special import logit
 
-from cosim.core.arrays import Array
+from cosim.core.arrays import Array, NamedValues, Rows
 from cosim.core.linear_algebra import least_squares, orthonormal
 from cosim.core.units import unit_of_rate
+from cosim.estimation.data import count_unscored
 from cosim.estimation.fit import DIFFERENCE, Fit, fit
 from cosim.estimation.kernel.generate import KNOTS, LOCAL, RATE, READING_PREFIX, SHAPE_PREFIX, SLOTS, bump, rise
-from cosim.estimation.kernel.kernel import CONSTANT_PREFIX, DEVIATION, DISTURBANCE
+from cosim.estimation.kernel.kernel import CONSTANT_PREFIX, DEVIATION, DISTURBANCE, Filtered
 from cosim.estimation.parallel import in_parallel
-from cosim.estimation.problem import Problem
+from cosim.estimation.problem import Noise, Problem
 from cosim.estimation.screen import DIFFERENCE_SHARE, ScoreTest
 from cosim.estimation.subject.candidates import Candidate, Free
 from cosim.estimation.subject.interface import Subject
 from cosim.refinement.decision.posterior import CERTAIN, LITTLE, MISFIT, chance_of_gain
 from cosim.refinement.search.fits import SCREEN_ITERATIONS
-from cosim.refinement.search.missing import MissingInput, smooth_logs
 
 
 @dataclass(frozen=True)
@@ -77,12 +77,12 @@ class UnnamedTerm:
     @property
     def entry(self) -> dict[str, Any]:
         """Return the term as an entry of refine.json."""
-        entry = {name: getattr(self, name) for name in ("equation", "signal", "gain", "coefficient")}
-        if self.shape is None:
-            return entry
-        local = {**self.shape.entry, "sizes": list(self.sizes)}
-        like = {"like": self.like} if self.like else {}
-        return entry | {"place": self.shape.place, "width": self.shape.width, "local": local} | like
+        entry = {name: getattr(self, name) for name in ("equation", "signal", "gain", "coefficient", "like")}
+        if shape := self.shape:
+            local = {**vars(shape), "sizes": self.sizes}
+            del local["equation"]
+            entry |= {"place": shape.place, "width": shape.width, "local": local}
+        return entry
 
 
 @dataclass(frozen=True)
@@ -109,18 +109,17 @@ class Leftover:
 LINEAR = 1e-5, 1.0  # change of the innovations by a step, in standard deviations: above rounding, and still linear
 
 
-def find_unnamed_terms(problem: Problem, at: Fit, price: float, units: Mapping[str, str]) -> Leftover:
+def find_unnamed_terms(problem: Problem, at: Fit, units: Mapping[str, str]) -> Leftover:
     """Return terms, in addition to a fit, whose gain is not due to chance.
 
     Args:
         problem: Problem whose kernel includes unmodelled dynamics.
         at: Fit of the same logs without these terms.
-        price: Complexity penalty of a coefficient in the score.
         units: Units of time, states and commands; local shapes use differences of states with equal units.
     """
-    test = ScoreTest(problem, at)
+    test, price = ScoreTest(problem, at), problem.price
     simple = [n.split(".", 2)[1:] for n in problem.layout.parameters if n.startswith(f"{SHAPE_PREFIX}.")]
-    shapes, tried, signals = promising_shapes(test, price, units)
+    shapes, tried, signals = promising_shapes(test, units)
     terms = [UnnamedTerm(equation, signal) for equation, signal in simple]
     terms += [UnnamedTerm(shape.equation, shape.signal, shape=shape) for shape in shapes]
     among = len(simple) + tried
@@ -242,17 +241,6 @@ class Shape:
     times: tuple[str, ...] = ()
     unit: str = ""
 
-    @classmethod
-    def of_entry(cls, equation: str, entry: Mapping[str, Any]) -> Shape:
-        """Return the shape of an entry of refine.json."""
-        lists = {name: tuple(entry[name]) for name in ("of", "times")}
-        return cls(equation, **{n: v for n, v in entry.items() if n != "sizes"} | lists)
-
-    @property
-    def entry(self) -> dict[str, Any]:
-        """Return the shape as an entry of refine.json."""
-        return {n: list(v) if isinstance(v, tuple) else v for n, v in vars(self).items() if n != "equation"}
-
     @property
     def signal(self) -> str:
         """Return the signal as text."""
@@ -314,20 +302,20 @@ def signal_units(subject: Subject) -> dict[str, str]:
     return {"time": "s", **{f"command {q.name}": q.unit for q in subject.inputs}, **named, **rates}
 
 
-def promising_shapes(test: ScoreTest, price: float, units: Mapping[str, str]) -> tuple[list[Shape], int, Signals]:
+def promising_shapes(test: ScoreTest, units: Mapping[str, str]) -> tuple[list[Shape], int, Signals]:
     """Return the most likely shape of each kind and equation, the number of shapes tried, and the signals.
 
     Args:
         test: Score test at the fit.
-        price: Complexity penalty of a coefficient in the score.
         units: Units of the signals; two states with equal units also give a difference signal.
     """
     problem, at, prefix = test.problem, test.at, f"{LOCAL}.1.of."
+    price = problem.price
     names = {n.removeprefix(prefix) for n in problem.layout.parameters if n.startswith(prefix)}
     if not names:
         return [], 0, {}
     with np.errstate(invalid="ignore", over="ignore"):
-        missing = smooth_logs(problem, at, LINEARIZATION_ROWS)
+        missing = smooth_logs(problem, at)
     signals = {n: z for n, z in signals_of(problem, missing).items() if n in names}
     if not all(np.isfinite(z).all() for z in (missing.value, *signals.values())):
         return [], 0, signals
@@ -471,11 +459,26 @@ def with_likely_periods(
 
 
 def _with_period(test: ScoreTest, c: Candidate) -> Candidate:
-    name, along = c.repeats
+    """Return a candidate that starts at the period with the largest predicted gain.
+
+    Forces with shorter periods than RADIAN standard deviations of the position cannot be estimated.
+    """
+    from scipy.signal import find_peaks  # imported here, since the import takes half a second
+
+    (name, along), problem, layout = c.repeats, test.problem, test.problem.layout
     (period,) = (f for f in c.free if f.name == name)
     sizes = [f for f in c.free if f.neutral is not None]
-    positions, sigma = _along(test, along)
-    low = min(max(period.low, RADIAN * sigma), period.high)
+    places = [layout.states.index(n) for n in (along, DEVIATION + along) if n in layout.states]
+    runs = [problem.run(test.values, test.noise, k) for k in range(len(problem.logs))]
+    positions = [run.states[:, places].sum(axis=1) for run in runs]
+    own = [k for k, place in enumerate(layout.stochastic) if place in places]
+    known = [run.covariances[:, own][:, :, own] for run in runs if run.covariances is not None]
+    variances = [0.0]
+    if known and own:
+        variances.append(float(np.median(np.concatenate(known).sum(axis=(1, 2)))))
+    if along in layout.outputs:
+        variances.append(float(np.exp(test.noise.sensors[layout.outputs.index(along)])))
+    low = min(max(period.low, RADIAN * math.sqrt(max(variances))), period.high)
     travel = float(np.ptp(np.concatenate(positions)))
     if not 0.0 < travel < math.inf:
         return c
@@ -488,7 +491,11 @@ def _with_period(test: ScoreTest, c: Candidate) -> Candidate:
         """Return the period with `cycles` more cycles over the travel."""
         return min(max(1.0 / (1.0 / value + cycles / travel), low), period.high)
 
-    tried = [*(start[name] for start in c.starts), *_lines(test, positions, low, period.high)]
+    frequency, height = spectrum_along([*zip(positions, innovations_of_logs(test), strict=True)], low)
+    height[frequency * period.high < 1.0] = 0.0
+    peaks, _ = find_peaks(height, distance=2 * 2)  # two cycles over the travel
+    strongest = sorted(peaks, key=lambda peak: -height[peak])[:MAX_TESTED_LINES]
+    tried = [*(start[name] for start in c.starts), *(1.0 / float(frequency[peak]) for peak in strongest)]
     near = tried[int(np.argmax(in_parallel(gain, tried)))]
     climb = minimize_scalar(
         lambda cycles: -gain(at(cycles, near)), bounds=(-1.0, 1.0), method="bounded", options={"xatol": DIFFERENCE}
@@ -497,36 +504,6 @@ def _with_period(test: ScoreTest, c: Candidate) -> Candidate:
     size = best**2 / (RADIAN * travel)  # changes the phase over the travel by 1 rad
     free = tuple(replace(f, low=low, size=size) if f.name == name else f for f in c.free)
     return replace(c, free=free, among=max(1, round(travel / low)), starts=({**c.starts[0], name: best},))
-
-
-def _along(test: ScoreTest, name: str) -> tuple[list[Array], float]:
-    """Return the filtered position in the rows of each log, and its standard deviation.
-
-    The standard deviation is that of the sensor or, if larger, of the filtered state. Forces with shorter periods
-    cannot be estimated.
-    """
-    problem, layout = test.problem, test.problem.layout
-    places = [layout.states.index(n) for n in (name, DEVIATION + name) if n in layout.states]
-    runs = [problem.run(test.values, test.noise, k) for k in range(len(problem.logs))]
-    own = [k for k, place in enumerate(layout.stochastic) if place in places]
-    known = [run.covariances[:, own][:, :, own] for run in runs if run.covariances is not None]
-    variances = [0.0]
-    if known and own:
-        variances.append(float(np.median(np.concatenate(known).sum(axis=(1, 2)))))
-    if name in layout.outputs:
-        variances.append(float(np.exp(test.noise.sensors[layout.outputs.index(name)])))
-    return [run.states[:, places].sum(axis=1) for run in runs], math.sqrt(max(variances))
-
-
-def _lines(test: ScoreTest, positions: Sequence[Array], low: float, high: float) -> Iterator[float]:
-    """Yield the periods of the strongest lines in the spectrum of the innovations along the position."""
-    from scipy.signal import find_peaks  # imported here, since the import takes half a second
-
-    frequency, height = spectrum_along([*zip(positions, innovations_of_logs(test), strict=True)], low)
-    height[frequency * high < 1.0] = 0.0
-    peaks, _ = find_peaks(height, distance=2 * 2)  # two cycles over the travel
-    strongest = sorted(peaks, key=lambda peak: -height[peak])[:MAX_TESTED_LINES]
-    yield from (1.0 / float(frequency[peak]) for peak in strongest)
 
 
 def innovations_of_logs(test: ScoreTest) -> list[Array]:
@@ -558,3 +535,163 @@ def spectrum_along(tracks: Sequence[tuple[Array, Array]], low: float) -> tuple[A
     frequency = np.arange(len(height)) / (count * low)
     height[frequency * low > 1.0] = 0.0
     return frequency, height
+
+
+# The part of each derivative that a model lacks, in each row, and the contribution of a hypothesis to it.
+#
+# Each forced equation has an unknown input, a state of the filter. A Rauch-Tung-Striebel smoother (1965) estimates it
+# in each row from the readings before and after, along the filtered states x̂ with covariances P,
+#
+#     xₖ = x̂ₖ + G·(xₖ₊₁ − f(x̂ₖ))      G = P·F'·(F·P·F' + Q)⁻¹      F = ∂f/∂x by differences of single kernel steps
+#
+# The power of the unknown inputs is the fitted power, at least `NoiseRange.plain`. The contribution of a hypothesis is
+# a model step with the hypothesis minus a step without, divided by the step.
+#
+
+
+MAX_SMOOTHED_ROWS = 3000  # largest number of smoothed rows of a log
+LOGS = 2  # number of smoothed logs, from the first
+NUDGE = 1e-4  # difference step relative to the size of a state; kernel steps are smooth at this scale
+
+
+@dataclass(frozen=True, eq=False)
+class MissingInput:
+    """Missing input d of each forced equation in the rows of the first logs, log after log.
+
+    The unit of d is the unit of the state per second.
+
+    Attributes:
+        rows: Rows of each log.
+        sigma: Standard deviation of `value`.
+        states: All kernel states, filtered by the base fit.
+    """
+
+    equations: tuple[str, ...]
+    rows: Sequence[slice]
+    time: Array
+    value: Array
+    sigma: Array
+    states: Array
+
+    def of_logs(self, tables: Sequence[Array]) -> Array:
+        """Return the rows `rows` of a table for each log, log after log."""
+        return np.concatenate([table[rows] for table, rows in zip(tables, self.rows, strict=False)])
+
+    def by_log(self, values: Array) -> list[Array]:
+        """Return values of all rows split by log."""
+        return np.split(values, np.cumsum([rows.stop - rows.start for rows in self.rows])[:-1])
+
+
+def next_rows(problem: Problem, values: NamedValues, index: int, points: tuple[Rows, Array, Array]) -> Array:
+    """Return the states at the next row for each of some rows with given states and memories."""
+    runs = problem.simulate_from(values, index, (points[0].tolist(), *points[1:]))
+    return np.array([run.states[1] for run in runs])
+
+
+def smooth_logs(problem: Problem, base: Fit) -> MissingInput:
+    """Return the smoothed missing inputs of the first logs; for free runs, the inputs that drive the deviations.
+
+    A fit without unknown inputs counts model errors as sensor noise; the stated sensor noise then replaces it.
+    """
+    layout, noise, found = problem.layout, base.noise, list[tuple[Any, ...]]()
+    bare = np.allclose(noise.power, problem.noise.smallest)
+    sensors = np.minimum(noise.sensors, np.log(problem.r)) if bare else noise.sensors
+    noise = replace(problem.plain, sensors=sensors, power=np.maximum(noise.power, problem.noise.plain))
+    reached, places = list(layout.stochastic), list(layout.noisy)
+    for index in range(min(LOGS, len(problem.logs))):
+        data, run = problem.data(base.values, index), problem.run(base.values, noise, index)
+        count = min(len(data.u), MAX_SMOOTHED_ROWS)
+        scored, x = slice(min(count_unscored(data), count - 1), count - 1), run.states[:count, reached]
+        if run.covariances is None:  # filtered inputs, with the uncertainty before any reading
+            sigma = np.tile(np.exp(0.5 * noise.power), (count, 1))
+        else:
+            if layout.is_free_run:
+                F = _transitions_of_deviations(problem, base.values, noise, index)[:count]
+                ahead = np.einsum("kij,kj->ki", F, x)
+            else:
+                ahead, F = _linear(problem, base.values, index, run, count)
+            x, P, Q = x.copy(), run.covariances[:count].copy(), np.diag(problem.densities(noise)) * data.step
+            for k in range(count - 2, -1, -1):
+                spread = F[k] @ P[k] @ F[k].T + Q
+                gain = least_squares(spread, F[k] @ P[k]).T
+                x[k] += gain @ (x[k + 1] - ahead[k])
+                P[k] += gain @ (P[k + 1] - spread) @ gain.T
+            sigma = np.sqrt(np.maximum(np.diagonal(P, axis1=1, axis2=2)[:, places], 0.0))
+        found.append((scored, data.times[scored], x[scored, places], sigma[scored], run.states[scored]))
+    rows, *parts = zip(*found, strict=True)
+    return MissingInput(layout.forced, rows, *map(np.concatenate, parts))
+
+
+def _transitions_of_deviations(problem: Problem, values: NamedValues, noise: Noise, index: int) -> Array:
+    """Return the transition matrices of a free run's random states, from each row to the next.
+
+    Random states are the previous row's deviations, the inputs that drive deviations, the deviations, and constants.
+    """
+    layout, data = problem.layout, problem.data(values, index)
+    ny, n = len(layout.outputs), len(layout.stochastic)
+    F = np.tile(np.eye(n), (len(data.u), 1, 1))
+    earlier, drive, deviation = (slice(k * ny, (k + 1) * ny) for k in (0, 1, 2))
+    _, propagation = problem.kernel.responses(data, problem.start(values, index)[0])  # type: ignore[attr-defined]
+    F[:, earlier, earlier], F[:, earlier, deviation] = 0.0, np.eye(ny)
+    F[:, drive, drive] *= math.exp(-data.step / math.exp(noise.memory))
+    F[:, deviation, deviation], F[:, deviation, earlier] = propagation[:, :ny], propagation[:, ny:]
+    F[:, deviation, drive] = data.step * np.eye(ny)
+    return F
+
+
+def unknown_inputs(problem: Problem, at: Fit, units: Mapping[str, str]) -> dict[str, float]:
+    """Return forced state → size of its unknown input relative to the derivatives of states with the same unit.
+
+    Args:
+        units: Units of the states.
+    """
+    names, powers = problem.layout.forced, np.exp(0.5 * at.noise.power)
+    largest: dict[tuple[str, int], float] = {}  # unit and order → range of the derivatives
+    orders = [1] * len(problem.layout.noisy)
+    if problem.layout.is_free_run:  # 2 if the velocity of the output is hidden
+        matrix = problem.kernel.responses(problem.logs[0], problem.x0[0])[1]  # type: ignore[attr-defined]
+        orders = [1 + bool(matrix[:, j].any()) for j in range(len(orders), 2 * len(orders))]
+    kinds = {n: (units[n], order) for n, order in zip(names, orders, strict=True)}
+    runs = [problem.run(at.values, at.noise, k) for k in range(len(problem.logs))]
+    for name, place in zip(names, problem.layout.forced_places, strict=True):
+        change = [
+            np.diff(run.states[count_unscored(d) :, place], kinds[name][1]) / d.step
+            for run, d in zip(runs, problem.logs, strict=True)
+        ]
+        low, high = np.quantile(np.concatenate(change), (0.5 * (1.0 - CERTAIN), 0.5 * (1.0 + CERTAIN)))
+        largest[kinds[name]] = max(largest.get(kinds[name], np.finfo(float).tiny), float(high - low))
+    return {n: float(p) / largest[kinds[n]] for n, p in zip(names, powers, strict=True)}
+
+
+def contributions(problem: Problem, base: Fit, after: Fit, index: int) -> Array:
+    """Return the contribution of a claim to each forced equation in the smoothed rows.
+
+    Both steps (with and without the claim) start from the refined model's estimate of measured states, and from their
+    own estimates of the other states.
+    """
+    layout, data = problem.layout, problem.logs[index]
+    runs = [problem.run(f.values, f.noise, index) for f in (base, after)]
+    rows, shared = min(len(data.u), MAX_SMOOTHED_ROWS) - 1, list(layout.stochastic)
+    states = [np.array([problem.drop_unknown_inputs(x) for x in run.states[:rows]]) for run in runs]
+    states[0][:, shared] = states[1][:, shared]
+    without, with_it = (
+        next_rows(problem, f.values, index, (np.arange(rows), x, run.memory[:rows]))
+        for f, x, run in zip((base, after), states, runs, strict=True)
+    )
+    return np.asarray((with_it - without)[min(count_unscored(data), rows) :, layout.forced_places] / data.step)
+
+
+def _linear(problem: Problem, values: NamedValues, index: int, run: Filtered, rows: int) -> tuple[Array, Array]:
+    """Return the prediction of each next row from the filtered states, and its derivative by finite differences."""
+    reached, states, memory = list(problem.layout.stochastic), run.states[: rows - 1], run.memory[: rows - 1]
+    size = NUDGE * np.maximum(np.abs(states[:, reached]).max(axis=0), np.sqrt(np.diag(problem.P0)))
+    size = np.where(size > 0.0, size, NUDGE)  # a fixed parameter per log may be 0
+    every_row, some = np.arange(rows - 1), np.arange(0, rows - 1, LINEARIZATION_ROWS)
+    ahead = next_rows(problem, values, index, (every_row, states, memory))[:, reached]
+    F = np.empty((rows - 1, len(reached), len(reached)))
+    for j, state in enumerate(reached):
+        nudged = states[some].copy()
+        nudged[:, state] += size[j]
+        moved = next_rows(problem, values, index, (some, nudged, memory[some]))[:, reached]
+        F[:, :, j] = ((moved - ahead[some]) / size[j])[every_row // LINEARIZATION_ROWS]
+    return ahead, F
