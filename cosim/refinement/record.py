@@ -88,7 +88,7 @@ class CandidateEntry(BaseModel):
     log_likelihood_gain: gain over the recalibrated model; null if the filter diverged
     score_gain: log posterior odds to the recalibrated model
     parameters: name (`effect.parameter` or base parameter) → value in SI units
-    why: `claimed`, `a rival: …`, or the reason against the hypothesis
+    why: `claimed`, `rival, probability N %`, or the reason against the hypothesis
     """
 
     names: list[str]
