@@ -18,14 +18,6 @@ from cosim.core.errors import SimulationError, TimedOut
 from cosim.isolation.limits import Limits
 from cosim.isolation.rows import CALLS, NO_CALL, OTHER, WAITING, Progress
 
-SIGNAL_MEANINGS = {
-    "SIGSEGV": "crashed: segmentation fault",
-    "SIGABRT": "crashed: abort",
-    "SIGBUS": "crashed: bus error",
-    "SIGFPE": "crashed: arithmetic fault",
-    "SIGILL": "crashed: illegal instruction",
-    "SIGKILL": "was killed, probably by the operating system because memory ran out",
-}
 CALL_KEYS = {"set": PUT, "step": ADVANCE, "get": GET, "other": OTHER}  # names in the manifest
 READING_PAUSE = 0.003, 0.007  # [s] limits of the random time between two readings of the current call
 PLAIN_CALLS = ("setting its inputs", "stepping", "reading its outputs")  # for components that are not FMUs
@@ -148,10 +140,12 @@ def _processor_time(pid: int) -> tuple[float, str]:
 
 def how_ended(code: int) -> str:
     """Return a phrase that explains a process's return code."""
-    if code < 0:
-        name = signal.Signals(-code).name if -code in set(signal.Signals) else f"signal {-code}"
-        return f"{SIGNAL_MEANINGS.get(name, 'was ended')} ({name})"
-    return f"ended the process, exit code {code}"
+    if code >= 0:
+        return f"ended the process, exit code {code}"
+    name = signal.Signals(-code).name if -code in set(signal.Signals) else f"signal {-code}"
+    if name == "SIGKILL":
+        return f"was killed, probably by the operating system because memory ran out ({name})"
+    return f"crashed: {(signal.strsignal(-code) or 'unknown').lower()} ({name})"
 
 
 class Clock:

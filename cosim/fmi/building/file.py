@@ -124,17 +124,11 @@ def load_model(text: str, folder: Path, named_in: YamlFile | None = None) -> Loa
         InputError: The model has faults, all of which the error names.
     """
 
-    def refusal(file: Path, *messages: str) -> InputError:
-        at = named_in
-        return InputError([at.fault(("model",), m) if at else Fault(file, 0, 0, m) for m in messages])
+    def refusal(file: Path, message: str) -> InputError:
+        return InputError([named_in.fault(("model",), message) if named_in else Fault(file, 0, 0, message)])
 
-    if text == BASE or is_model(text):
-        try:
-            return LoadedModel(named_model(text), model_entry(text).name)
-        except InputError as error:
-            if named_in is None:
-                raise
-            raise refusal(folder, *(f.message for f in error.faults)) from None
+    if is_model(text):
+        return LoadedModel(named_model(text), model_entry(text).name)
     file, own, _ = text.rpartition(":") if ".py:" in text else (text, "", "")
     path, registered = folder / file, registered_names(MODELS_GROUP)
     allowed = f"allowed: {', '.join(registered)}, a model.yaml, or FILE.py:Class of your own model"
