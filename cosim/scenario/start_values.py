@@ -85,8 +85,8 @@ def start_value(description: Any, variables: Mapping[str, Any], name: str, value
         hint = did_you_mean(name, [n for n, v in variables.items() if settable(v)])
         raise ValueError(f'{component or "the FMU"} has no variable "{name}"{hint}')
     if not settable(variable):
-        kind = f"causality {variable.causality}, variability {variable.variability}"
-        raise ValueError(f"{full_name} has no start value that can be set ({kind})")
+        kind = f"{variable.variability or ''} {variable.causality}".strip()
+        raise ValueError(f"{full_name} is a variable of the kind {kind}; its start value cannot be set")
     try:
         return convert_value(description, variable, value)
     except ValueError as error:

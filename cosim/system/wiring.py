@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from array import array
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property, partial
-from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -18,7 +17,7 @@ from cosim.blocks.sources import SourceBlock
 from cosim.blocks.stepping import LinkKind
 from cosim.core.errors import Fault, InputError, SimulationError
 from cosim.core.messages import with_prefix
-from cosim.core.text import did_you_mean
+from cosim.core.text import did_you_mean, some
 from cosim.core.times import whole_steps
 from cosim.core.units import assume_si
 from cosim.files.yaml_file import MOST_FAULTS
@@ -293,8 +292,8 @@ def _transfers(
             building.note(where, f"{text} is one of the {other} of {name}; connect an output to an input")
         else:
             names = [end.partition(".")[2] for end in ends[side] if end.startswith(f"{name}.")]
-            hint = did_you_mean(variable, names)
-            building.note(where, f'{name} has no {side[:-1]} "{variable}"{hint} (its {side}: {_some(names)})')
+            hint, listed = did_you_mean(variable, names), some(names, MAX_NAMED_SIGNALS) or "none"
+            building.note(where, f'{name} has no {side[:-1]} "{variable}"{hint} (its {side}: {listed})')
     if len(found) == 2:
         sources, targets = found
         try:
@@ -347,12 +346,7 @@ def _transfer(building: Building, connection: Connection, source: Signal, target
 
 
 def _numbers(items: Mapping[str, int] | None) -> str:
-    return _some([f"{name} {number}" for name, number in (items or {}).items()])
-
-
-def _some(names: Collection[str]) -> str:
-    more = f" and {len(names) - MAX_NAMED_SIGNALS} more" if len(names) > MAX_NAMED_SIGNALS else ""
-    return f"{', '.join(islice(names, MAX_NAMED_SIGNALS)) or 'none'}{more}"
+    return some([f"{name} {number}" for name, number in (items or {}).items()], MAX_NAMED_SIGNALS)
 
 
 def _signals(component: Component, side: str) -> tuple[Signal, ...]:
@@ -367,7 +361,7 @@ def _check_faults(building: Building) -> None:
     needs = {"delay": "delay", "dropout": "probability"} | dict.fromkeys(("bias", "scale", "stuck", "spike"), "value")
     for k, fault in zip(building.file.places["faults"], scenario.faults, strict=True):
         if fault.on not in targets and fault.on.partition("[")[0] not in targets:
-            hint = did_you_mean(fault.on, targets) or f" (connected: {_some(targets)})"
+            hint = did_you_mean(fault.on, targets) or f" (connected: {some([*targets], MAX_NAMED_SIGNALS)})"
             building.note(("faults", k, "on"), f"{fault.on} is not connected{hint}")
         if getattr(scenario.components.get(fault.on.partition(".")[0]), "step", None) is not None:
             building.note(("faults", k, "on"), f"{fault.on} belongs to a component with its own step; remove this step")
@@ -410,4 +404,4 @@ def connection_warnings(building: Building) -> Iterator[str]:
             where = "not connected; they keep the start value of the FMU"
             if isinstance(declared, FixComponent):
                 where = "inputs not connected, so their fixes are 0"
-            yield f"{where}: {_some(free)}"
+            yield f"{where}: {some(free, MAX_NAMED_SIGNALS)}"
