@@ -170,7 +170,7 @@ def _provenance(r: Refinement) -> list[Row]:
     """Return table rows with the files of the study and of its results, and versions."""
     study, subject = r.study, r.study.subject
     rows = [Row("Study", str(path_from_here(study.path)))] if study.path else []
-    rows.append(Row("Model", str(path_from_here(subject.source)), study.content.model if study.path else ""))
+    rows.append(Row("Model", str(path_from_here(subject.source)), subject.title))
     logs = [("Estimation log", log) for log in study.logs]
     logs += [("Sealed log", log) for log, _ in r.evidence["before"].get("validation", ())]
     for label, log in logs:
