@@ -232,7 +232,8 @@ def read_input(request: Request) -> FitInput:
     twice = "is given twice; use a log either for the estimate or as a sealed log"
     faults += [request.log_fault(k, twice) for k, p in enumerate(paths) if p in paths[:k]]
     refuse(faults if not existing or (yaml is not None and not fmu.exists()) else ())
-    logs = [attempt(log_of_fmu, None, path, fmu, request.columns) for path in existing]
+    alone = len(existing) == 1
+    logs = [attempt(log_of_fmu, None, path, fmu, request.columns, alone=alone) for path in existing]
     refuse(faults if any(f.file == fmu for f in faults) or not any(logs) else ())
     given = attempt(start_values, {}, fmu, request.start, lambda n, text: request.fault(("start", n), text))
     parameters: list[Parameter] = attempt(_parameters, [], request, read_description(fmu), given)

@@ -147,6 +147,7 @@ def read_log(
     outputs: Sequence[Signal | Quantity],
     *,
     columns: Mapping[str, str] = MappingProxyType({}),
+    alone: bool = False,
     declare: Callable[[Column, Faults], str | None] | None = None,
 ) -> Log:
     """Read a log with the signals of a model.
@@ -154,6 +155,7 @@ def read_log(
     Args:
         inputs, outputs: Signals of the model; the log must contain every input and at least one output.
         columns: Name in the file → name in the model, or `time`, if they differ.
+        alone: True if `columns` is for this file only, so that a missing column is a fault.
         declare: For a log without a model: function that returns the unit of a column, or None to ignore the column.
 
     Raises:
@@ -201,7 +203,7 @@ def read_log(
             if name not in (*units, "time"):
                 cure = f"{did_you_mean(name, units)} (it has {name_list(units)})"
                 faults.note(line, 1, f'column "{column}" is assigned to {name}, which the model does not have{cure}')
-            elif name != "time" and column not in cells and name not in table:
+            elif name != "time" and column not in cells and (alone or name not in table):
                 faults.note(line, 1, f'has no column "{column}"{did_you_mean(column, cells)} for {name}')
         missing = [name for name in into if name not in table]
         cure = "if columns have other names, use --column COLUMN=VARIABLE, or `columns` in a study"

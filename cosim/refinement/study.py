@@ -266,7 +266,7 @@ def read_parts_of_fmu(
     for part, k, name in _entries(content.logs):
         try:
             _check_exists(yaml, part, k, name)
-            log = log_of_fmu(folder / name, fmu, content.columns)
+            log = log_of_fmu(folder / name, fmu, content.columns, alone=False)
         except InputError as error:
             faults += error.faults
             continue
@@ -420,7 +420,7 @@ def _check_exists(places: Places, part: str, k: int, name: str) -> None:
 def _read(path: Path, content: StudyFile, subject: Subject) -> Log:
     """Read a log with the columns of the study."""
     if isinstance(subject, FmuSubject):
-        log = log_of_fmu(path, subject.structure.fmu, content.columns)
+        log = log_of_fmu(path, subject.structure.fmu, content.columns, alone=False)
         return rename_signals(log, subject.names)
     return read_log(path, subject.inputs, subject.outputs, columns=content.columns)
 

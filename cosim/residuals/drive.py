@@ -87,18 +87,19 @@ def check_files(log: Path, fmu: Path | None) -> None:
     refuse(faults)
 
 
-def log_of_fmu(path: Path, fmu: Path, columns: Mapping[str, str] = MappingProxyType({})) -> Log:
+def log_of_fmu(path: Path, fmu: Path, columns: Mapping[str, str] = MappingProxyType({}), *, alone: bool = True) -> Log:
     """Return a log of an FMU.
 
     Args:
         columns: Name in the log → name in the FMU, if different.
+        alone: True if `columns` is for this log only, so that a missing column is a fault.
 
     Raises:
         InputError: The log has faults, all of which the error names.
         FmuError: Only the FMU has faults.
     """
     check_files(path, fmu)
-    return read_log(path, *model_signals(fmu), columns=columns)
+    return read_log(path, *model_signals(fmu), columns=columns, alone=alone)
 
 
 class Drive:
