@@ -12,7 +12,7 @@ import tempfile
 import zipfile
 from pathlib import Path
 
-from cosim.fmi.native.compiler import NoCompiler, fmi_headers, library_command, this_platform
+from cosim.fmi.native.compiler import POSITION, NoCompiler, fmi_headers, required_compiler, this_platform
 
 OPTIONS = ("-std=c99", "-O2", "-w", "-s", "-ffp-contract=off")
 
@@ -32,7 +32,7 @@ def compiled_fmu(source: Path, fmu: Path) -> Path:
     with tempfile.TemporaryDirectory() as folder:
         library = Path(folder) / "library"
         paths = [f"-I{fmi_headers()}", f"-I{Path(__file__).parent}", "-o", str(library), str(source / "equations.c")]
-        subprocess.run([*library_command(), *OPTIONS, *paths, "-lm"], check=True)
+        subprocess.run([*required_compiler(), "-shared", *POSITION, *OPTIONS, *paths, "-lm"], check=True)
         with zipfile.ZipFile(fmu, "w", zipfile.ZIP_DEFLATED) as archive:
             archive.writestr("modelDescription.xml", description)
             archive.write(library, f"binaries/{platform.folder(2)}/{name}{platform.suffix}")

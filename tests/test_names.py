@@ -95,7 +95,7 @@ def test_odd_names_are_connected_recorded_started_repeated_and_replayed(tmp_path
         ("mass=much", "[kg]"),
         ("mass=-1", "[0.05, 20] kg"),
         ("roll_ground_effect=2", "true or false"),
-        ("x=1", "x is "),
+        ("x=1", "x=1: "),
         ("mass", "NAME=VALUE"),
     ],
 )
