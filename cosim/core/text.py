@@ -177,15 +177,6 @@ def written(unit: str, times: str = "·") -> str:
     return DEGREE_WORD.sub("°", text)
 
 
-def finer(unit: str, size: float) -> tuple[str, float]:
-    """Return a smaller unit in which a small error has readable digits, and the factor to the smaller unit."""
-    if unit == "m" and size < 1.0:
-        return "mm", 1000.0
-    if unit == "m/s" and size < 0.05:
-        return "mm/s", 1000.0
-    return display(unit)
-
-
 def as_yaml(value: Any) -> str:
     """Return a value as JSON that YAML reads equally: line breaks and non-characters of YAML are escaped."""
     text = json.dumps(value, ensure_ascii=False)

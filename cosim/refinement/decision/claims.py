@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from cosim.core.arrays import NamedValues
-from cosim.core.text import MAX_NAMED, amount, append_unit, finer, join_names, percent, plain, written
+from cosim.core.text import MAX_NAMED, amount, append_unit, display, join_names, percent, plain, written
 from cosim.estimation.fit import Fit
 from cosim.estimation.problem import Problem
 from cosim.estimation.subject.candidates import SIGMAS_PER_TOLERANCE, Candidate, Free, kind_within
@@ -134,7 +134,7 @@ def sentence(c: Claims, subject: Subject, risen: Mapping[str, tuple[float, float
     answer, *details = filter(None, _answer_texts(c, subject))
     rises = []  # whose rounded values differ
     for name, pair in risen.items():
-        before, after = (error_text(subject, name, error, pair[1]) for error in pair)
+        before, after = (error_text(subject, name, error) for error in pair)
         rises += [f"of {name} from {before} to {after}"] if before != after else []
     model = "nearest" if c.claimed is None else "refined"
     rise = f"On the sealed logs the error of the {model} model rises: {join_names(rises)}." if rises else ""
@@ -308,9 +308,9 @@ def _remark_texts(c: Claims, remaining: NamedValues) -> Iterator[str]:
         )
 
 
-def error_text(subject: Subject, channel: str, error: float, like: float) -> str:
-    """Return an error of a channel as text, in a unit that suits the size `like`."""
-    unit, factor = finer(next((q.unit for q in subject.outputs if q.name == channel), ""), like)
+def error_text(subject: Subject, channel: str, error: float) -> str:
+    """Return an error of a channel as text."""
+    unit, factor = display(next((q.unit for q in subject.outputs if q.name == channel), ""))
     return append_unit(plain(error * factor), unit)
 
 

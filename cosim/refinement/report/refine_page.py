@@ -20,7 +20,6 @@ from cosim.core.text import (
     counted,
     display,
     displayed,
-    finer,
     join_names,
     percent,
     plain,
@@ -44,7 +43,7 @@ from cosim.report.charts import Charts, Drawing, Plot
 from cosim.report.panels import Band, Panel, Trace, extent, signal_panel
 from cosim.report.template import Row, command, places, render
 from cosim.residuals.compare import horizon_name
-from cosim.residuals.residual_statistics import FREE_RUN, remaining_excess, rmse
+from cosim.residuals.residual_statistics import FREE_RUN, remaining_excess
 from cosim.residuals.windows import SKIPPED
 from cosim.scenario.scenario_file import sha256
 
@@ -327,8 +326,8 @@ def error_tables(r: Refinement) -> list[dict[str, Any]]:
         for name in r.record["error"]["before"].get(part, {}):
             sizes = _numbers(r, part, name)
             after, floor = sizes["after"], sizes["floor"]
-            row: dict[str, Any] = {key: error_text(r.study.subject, name, size, after) for key, size in sizes.items()}
-            row["sensor_noise"] = error_text(r.study.subject, name, r.record["sensor_noise"].get(name, math.nan), after)
+            row: dict[str, Any] = {key: error_text(r.study.subject, name, size) for key, size in sizes.items()}
+            row["sensor_noise"] = error_text(r.study.subject, name, r.record["sensor_noise"].get(name, math.nan))
             for key, model in (("excess", "before"), ("of_recalibrated", "recalibrated")):
                 row[key] = percent(max(0.0, remaining_excess(sizes[model], after, floor)))
             rows.append({**row, "channel": name})
@@ -352,7 +351,7 @@ def second_sentence(r: Refinement) -> str:
         return ""
     where = "On sealed logs" if part == "validation" else "On the logs of the fits (none was sealed)"
     sizes = _numbers(r, part, name)
-    shown = {key: error_text(r.study.subject, name, size, sizes["after"]) for key, size in sizes.items()}
+    shown = {key: error_text(r.study.subject, name, size) for key, size in sizes.items()}
     verb = "fell" if sizes["after"] < sizes["before"] else "rose"
     text = f"{where} the error of {name} over {horizon(r)} {verb} from {shown['before']} to {shown['after']}"
     if r.verdict.claimed is None:
@@ -393,7 +392,7 @@ def _channel(drawing: Drawing, curves: Sequence[tuple[str, str, ReplayedLogs]], 
     log, old = curves[0][2][0]
     errors = [(label, e[0][1].errors(e[0][0])[name], style) for label, style, e in curves]
     unit, reading = log.units.get(name, ""), log.outputs[name]
-    fine, scale = finer(unit, max(rmse(e) for _, e, _ in errors))
+    fine, scale = display(unit)
     lines = [("measured", reading, "estimate"), *((label, reading - e, style) for label, e, style in errors)]
     residuals = [Trace(label, e * scale, style) for label, e, style in errors]
     starts, inside = sorted(old.starts), np.zeros(log.time.size, dtype=bool)
