@@ -16,6 +16,7 @@ from cosim.comparison.several import ComparedRuns
 from cosim.core.errors import CriterionMissed, InputError
 from cosim.files.results import Results
 from cosim.simulation.run_signals import RecordedRun
+from tests.slider import slider_fmu
 from tests.test_first_steps import invoked, told
 
 TIME = np.linspace(0, 1, 101)
@@ -252,3 +253,13 @@ def test_results_of_other_versions_and_half_written_ones_are_compared_by_their_r
     assert "results/torn/results.csv:3:1: has 1 cell, the header 2" in page
     for name, message in (("gone", "this folder has no"), ("torn", "has 1 cell, the header 2")):
         assert message in str(_invoke("new", name).exception)
+
+
+def test_an_input_that_a_run_does_not_set_has_the_start_value_of_the_fmu(tmp_path: Path) -> None:
+    slider_fmu(tmp_path / "slider.fmu")
+    (tmp_path / "s.yaml").write_text("name: s\nduration: 1\nstep: 0.1\ncomponents: {slider: {fmu: slider.fmu}}\n")
+    for name, given in (("a", None), ("b", {"slider.mass": 2.5})):
+        cosim.run(tmp_path / "s.yaml", tmp_path / name, given, report=False, in_process=True)
+    cosim.compare(tmp_path / "a", tmp_path / "b", out=tmp_path / "out")
+    content = json.loads((tmp_path / "out" / "comparison.json").read_text())
+    assert {row["name"]: row["values"] for row in content["inputs"]} == {"slider.mass": ["1.0 (FMU)", 2.5]}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache, partial
 from itertools import islice
@@ -24,14 +25,16 @@ from cosim.comparison.differences import (
     format_size,
 )
 from cosim.core.arrays import Array, far_beyond
-from cosim.core.errors import Fault, InputError, refuse
+from cosim.core.errors import Fault, FmuError, InputError, refuse
 from cosim.core.extras import pandas_for_frames
 from cosim.core.text import MISSING, counted, join_names, showing
 from cosim.files.files import FilePath, check_writable, write_json, write_text
 from cosim.files.folders import new_run, remove_earlier, replay_record
 from cosim.files.results import Results, is_rounded, rows_in
 from cosim.files.run_entries import select_groups
-from cosim.files.run_inputs import DifferingInput, differing_inputs, labels_of
+from cosim.files.run_inputs import PARAMETER, DifferingInput, differing_inputs, labels_of
+from cosim.fmi.description import read_description
+from cosim.scenario.scenario_file import sha256
 from cosim.simulation.run_signals import RecordedRun, Run, Signals, read_ran
 
 if TYPE_CHECKING:
@@ -307,6 +310,7 @@ def compare_several(
     records = [run.manifest or replay_record(run.path) for run in bare]
     inputs = differing_inputs(records)
     labels = labels_of(shorts, inputs, unique=[str(run.path) for run in bare], longer=longer, baseline=place)
+    inputs = [_with_declared_starts(row, records) for row in inputs]
     runs = {k: replace(run, name=label) for k, run, label in zip(kept, bare, labels, strict=True)}
     named = tuple(replace(c, a=runs[baseline], b=runs[k]) for k, c in sorted(comparisons.items()))
     ranked = sorted(comparisons, key=lambda k: -max(d.share for d in comparisons[k].differences))
@@ -325,6 +329,30 @@ def compare_several(
                 values[first : first + found.time.size] = found.values[name][1]
             of_runs.append(values)
     return replace(compared, values=curves, units={name: numbers.units.get(name, "") for name in curves})
+
+
+def _with_declared_starts(row: DifferingInput, records: Sequence[Mapping[str, Any]]) -> DifferingInput:
+    """Return an input in which unset values are replaced by the FMU's start value as text, such as `0.98 (FMU)`."""
+    component, _, variable = row.name.partition(".")
+    if row.kind != PARAMETER:
+        return row
+    values = list(row.values)
+    for k, (value, record) in enumerate(zip(values, records, strict=True)):
+        fmus = record.get("fmus")
+        entry = fmus.get(component) if isinstance(fmus, dict) else None
+        if value is None and isinstance(entry, dict):
+            start = _declared_start(str(entry.get("path")), str(entry.get("sha256")), variable)
+            values[k] = None if start is None else f"{start} (FMU)"
+    return replace(row, values=tuple(values))
+
+
+@lru_cache
+def _declared_start(path: str, digest: str, variable: str) -> str | None:
+    """Return the start value that an FMU declares; None if the file has changed since the run."""
+    with suppress(InputError, FmuError, OSError):
+        if sha256(Path(path)) == digest:
+            return next((v.start for v in read_description(Path(path)).modelVariables if v.name == variable), None)
+    return None
 
 
 def _sources(sides: Sequence[Any], baseline: Any, results: Path | None) -> tuple[list[RunSource], int]:
