@@ -151,8 +151,32 @@ def write_table(
                 columns[f"{name} met"] = [m.met[k] if m.status == "ok" else None for m in part]
             for k, name in enumerate(signals):
                 columns[name] = [m.signals[k] if m.status == "ok" else None for m in part]
-            arrays = [pa.array(columns[name], kind) for name, kind in types.items()]
+            arrays = [_column(kind, columns[name]) for name, kind in types.items()]
             writer.write_table(pa.Table.from_arrays(arrays, schema=schema))
+
+
+def _column(kind: Any, values: Sequence[Any]) -> Any:
+    """Return a column of a type, in which None is a missing value.
+
+    `pyarrow.array` would import pandas where it is installed, which takes longer than many a sweep.
+    """
+    import pyarrow as pa
+
+    def packed(flags: Any) -> Any:
+        return pa.py_buffer(np.packbits(flags, bitorder="little"))
+
+    count, is_there, children = len(values), np.array([value is not None for value in values]), list[Any]()
+    if kind in (pa.string(), pa.list_(pa.float64())):
+        contents = [b"" if v is None else v.encode() if isinstance(v, str) else v.tobytes() for v in values]
+        size, joined = 1 if kind == pa.string() else 8, pa.py_buffer(b"".join(contents))
+        ends = np.cumsum([0, *(len(content) // size for content in contents)], dtype=np.int32)
+        buffers = [pa.py_buffer(ends), joined]
+        if size == 8:
+            children.append(pa.Array.from_buffers(pa.float64(), int(ends[-1]), [None, buffers.pop()]))
+    else:
+        data = np.array([0 if v is None else v for v in values], kind.to_pandas_dtype())
+        buffers = [packed(data) if kind == pa.bool_() else pa.py_buffer(data)]
+    return pa.Array.from_buffers(kind, count, [packed(is_there), *buffers], children=children)
 
 
 def read_table(path: Path) -> tuple[pyarrow.Table, dict[str, Any]]:
