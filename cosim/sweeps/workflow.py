@@ -37,7 +37,7 @@ from cosim.sweeps.pool import MakeRuns, dask_cluster, make_runs_here
 from cosim.sweeps.reading import Sweep, Swept, read_sweep
 from cosim.sweeps.runs import RunResult, assemble, make_run, sampled_rows
 from cosim.sweeps.sampling import share_interval
-from cosim.sweeps.store import DATABASE, SWEEP_RECORD, SWEEP_TABLE, Database, write_table
+from cosim.sweeps.store import DATABASE, SWEEP_RECORD, SWEEP_TABLE, Database, read_table, write_table
 
 PARTS_FOLDER = "parts"  # folder of the parts made by --part, as parts/17-of-200
 MAX_LISTED_FAILURES = 20
@@ -206,7 +206,11 @@ def _read_completed(folder: Path, key: str) -> dict[str, Any] | None:
     """Return the record of the same sweep if it is complete in this folder; raise InputError for a different sweep."""
     if not (folder / SWEEP_TABLE).is_file() or not (record := content_of(folder / SWEEP_RECORD)):
         return None
-    if record.get("key") != key:
+    try:
+        _, about = read_table(folder / SWEEP_TABLE)
+    except (OSError, ValueError):
+        return None
+    if about.get("key") != key:
         cure = "give another folder as --out, or use --force to start again"
         raise InputError.at(folder / SWEEP_TABLE, f"is of another sweep, or of other FMUs; {cure}")
     return record
