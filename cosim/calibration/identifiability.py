@@ -47,8 +47,6 @@ def screen(likelihood: Likelihood) -> tuple[list[ChoiceEntry], Flags]:
                 return np.concatenate([(side * t / sigma)[g] for t, g in zip(tables, good, strict=True)])
         return None
 
-    from scipy.linalg import qr
-
     names, effects, reasons = list[str](), list[float](), list[str]()
     columns, nuisance = list[Array](), list[Array]()
     for j, unknown in enumerate(likelihood.unknowns):
@@ -65,16 +63,19 @@ def screen(likelihood: Likelihood) -> tuple[list[ChoiceEntry], Flags]:
     matrix = np.column_stack(columns)
     starts = np.column_stack(nuisance) if nuisance else np.zeros((matrix.shape[0], 0))
     sizes, matrix = np.linalg.norm(matrix, axis=0), _without(matrix, starts)
-    candidates, least = np.flatnonzero([not reason for reason in reasons]), 1.96 / MAX_HALF_WIDTH
-    sound = np.nan_to_num(matrix[:, candidates])
-    triangle, order = qr(sound, mode="r", pivoting=True) if candidates.size else (sound, candidates)
-    left = np.abs(np.diag(triangle))  # size of each effect that the effects before do not reproduce
-    kept = [
-        (i, own) for i, own in zip(candidates[order], left, strict=False) if own >= max(least, MIN_OWN_SHARE * sizes[i])
-    ]
-    chosen = [i for i, _ in kept]
-    for i, own in kept:
-        reasons[i] = f"its interval is at best ± {plain(196.0 / own, 2)} % of its value"
+    chosen, rest, least = list[int](), matrix.copy(), 1.96 / MAX_HALF_WIDTH
+    while True:  # pivoted QR, in which only chosen columns take part
+        left = np.linalg.norm(rest, axis=0)
+        fits = [
+            i for i, r in enumerate(reasons) if not r and left[i] >= max(least, MIN_OWN_SHARE * max(sizes[i], 1e-300))
+        ]
+        if not fits:
+            break
+        best = max(fits, key=lambda i: (round(math.log10(left[i]), 3), -i))
+        chosen.append(best)
+        reasons[best] = f"its interval is at best ± {plain(196.0 / left[best], 2)} % of its value"
+        direction = rest[:, best] / left[best]
+        rest = rest - np.outer(direction, direction @ rest)
     for i in (i for i, reason in enumerate(reasons) if not reason):
         if chosen and np.linalg.norm(matrix[:, i]) >= least:
             weights = least_squares(matrix[:, chosen], matrix[:, i])

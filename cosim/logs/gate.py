@@ -18,6 +18,7 @@ from cosim.logs.spikes import Spikes, find_spikes, out_of_line
 from cosim.model.traits import Traits, rate_of
 
 SEVERITIES = ("fault", "warning", "note")
+MAX_INTEGRATED_PAUSE_S = 0.2  # [s] without a reading
 INSEPARABLE_CORRELATION = 0.98  # correlation of two inseparable inputs
 SLOWER = 1.5  # ratio of the log's step to the model's from which the steps disagree
 SHORT_LOG_S = 10.0  # [s]; the first 2 s and whole windows of 2 s must leave enough rows
@@ -266,6 +267,8 @@ def _against_rate(log: Log, name: str, rate: str, *, declared: bool) -> Iterator
     With consistent units and signs, the slope of the signal over the integral is 1.
     """
     good = np.isfinite(log.outputs[rate])
+    if good.sum() < 2 or np.median(np.diff(log.time[good])) >= MAX_INTEGRATED_PAUSE_S * log.slowness:
+        return  # between such readings, the integral is a guess
     rates = np.interp(log.time, log.time[good], log.outputs[rate][good])
     area = np.concatenate(([0.0], np.cumsum(0.5 * (rates[1:] + rates[:-1]) * np.diff(log.time))))
     fit = fit_slope(log, log.outputs[name], area)

@@ -218,6 +218,9 @@ def read_log(
             faults.note(line, cells.get(alike, 1), f"{fault} {every}")
         if outputs and not missing and not any(name in table for name in outputs):
             message = f"has no output of the model; it needs at least one of {name_list(outputs)}; {cure}"
+            message += "".join(
+                dict.fromkeys(f'; did you mean "{close}"?' for w in unread if (close := closest(w, outputs)))
+            )
             faults.note(line, 1, message)
 
     times = [column for column, name in columns.items() if name == "time"]

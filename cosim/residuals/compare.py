@@ -8,12 +8,14 @@ from __future__ import annotations
 import copy
 import math
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
 from cosim.core.arrays import Array, NamedArrays
+from cosim.core.errors import SimulationError
 from cosim.core.text import join_names, plain, size
 from cosim.logs.gate import SEVERITIES, refuse_faults
 from cosim.logs.log import SENSOR_FINDING, Finding, Log, least_noise_level
@@ -204,7 +206,9 @@ def floors(drive: Drive, free: Replay, measured: Replay) -> dict[str, ChannelFlo
             return {} if replayed is None else replayed.outputs
         if not free.parameters.keys() & readings.keys():  # a start without measurements is unchanged
             return free.outputs
-        return as_columns(other.run(0, log.rows - 1, first_start(other, free.parameters)), drive.outputs)
+        with suppress(SimulationError):  # noise may move a start value to where the FMU fails
+            return as_columns(other.run(0, log.rows - 1, first_start(other, free.parameters)), drive.outputs)
+        return free.outputs
 
     restarted, errors = predict(sampled), []
     for draw in range(count := draws(log, horizon)):
