@@ -516,6 +516,11 @@ def _per_log_faults(places: Places, content: StudyFile, subject: Subject) -> Ite
             message = f"{name} needs a value for {alone[0]}, whose group has no estimation log, and the filter cannot "
             message += f"estimate it during a run; put {alone[0]} in a group with an estimation log"
             yield places.fault(at, message)
+    full_names = {full_name(subject, name) for name in names}
+    for k, name in enumerate(content.candidates or ()):
+        if ({n for n in subject.declared if n.startswith(f"{name}.")} or {name}) <= full_names:
+            message = f"{name} is also listed under per_log, and therefore estimated in every hypothesis; remove one"
+            yield places.fault(("candidates", k), message)
 
 
 # What `cosim refine` can find with the logs of a study, and what it cannot find.

@@ -60,7 +60,7 @@ def missing_phase(bench: Bench, name: str, test: Test, r: Recording, idle: float
     if isinstance(test, HoldTest):
         windows["hold"] = test.hold
     elif isinstance(test, StepTest):
-        windows["window"] = (test.at, test.window[1])
+        windows["at"] = (test.at, test.window[1])
     elif isinstance(test, SineTest):
         windows["window"] = (test.analysed[0], r.time[-1])
     slack, phases = 1.5 * r.step, {key: r.rows(window) for key, window in windows.items()}

@@ -176,6 +176,8 @@ def _motion(name: str, values: Array) -> str:
     """Return why readings are too few or not those of a craft at rest; "" if they are."""
     if values.size < MIN_REST_ROWS:
         return f"{values.size} rows of {name} at rest; log at least {MIN_REST_ROWS} (the thesis took 20 s)"
+    if np.ptp(values) == 0.0:
+        return f"{name} is {values[0]:g} in every row: a dead channel; choose a window, or remove the log"
     first, last = np.array_split(values, 2)
     change, noise = float(last.mean() - first.mean()), float(np.std(np.diff(values))) / np.sqrt(2.0)
     text = f"{name} changes by {change:.3g} from the first half to the second: not at rest"

@@ -40,6 +40,8 @@ from plant.identification.report import page
 from plant.powertrain import ground_effect
 
 IDENTIFY_RECORD, REPORT = "identify.json", "report.html"
+# of a power-train
+IDENTIFIED_PARAMETERS = {"thrust_offset", "thrust_slope", "ground_effect_exponent", "lag", "assembly_arm"}
 # in order of dependence; a step test takes precedence for the lag
 ANALYSES: Mapping[str, Callable[[Measurement], Result]] = {
     "step": after_step,
@@ -201,6 +203,9 @@ def prepare(path: Path) -> tuple[Protocol, Model, dict[str, list[Recording]]]:
     refuse(faults)
     text = protocol.file.model
     model = named_model(text) if is_model(text) else load_model(text, protocol.yaml.path.parent, protocol.yaml).model
+    if not IDENTIFIED_PARAMETERS & {p.name for p in model.parameters}:
+        reason = f"{text} has none of {', '.join(sorted(IDENTIFIED_PARAMETERS))}, the identified parameters"
+        refuse([protocol.yaml.fault(("model",), f"{reason}; give the model of the object on the bench")])
     return protocol, model, measured
 
 

@@ -24,6 +24,7 @@ HIDDEN = (("usual", 1), ("fifth", 1), ("usual", 2), ("fifth", 1), ("usual", 1), 
 USUAL = (500.0, 5000.0)  # nats, log-uniform
 SMALLER = 5.0
 SLAVES = {("tanks", "co_simulation", 2)}  # plant, way and version of FMI that pythonfmu makes too
+FIRST_OF_TWO = 5000  # first seed with a second exporter; earlier studies stay as they were
 OWN = 26  # first number of this suite's random streams
 
 
@@ -92,7 +93,7 @@ def write(study: FmuStudy, folder: Path) -> Path:
     names = {place(v.name): v.name for v in DECLARED[study.plant].parameters}
     tolerance = {names[name]: share for name, (_, share) in study.rig.sheet.items()}
     path = write_study(folder, "plant.fmu", field_study.logs_of(study), tolerance)
-    of_two = (study.plant, study.way, study.version) in SLAVES
+    of_two = (study.plant, study.way, study.version) in SLAVES and study.seed >= FIRST_OF_TWO
     if of_two and stream(study.seed, OWN + 2).uniform() < 0.5:
         build_slave(folder / "plant.fmu", study.plant)
     else:
