@@ -67,6 +67,15 @@ def with_library(
         return pack(path, DESCRIPTION, main, {f"binaries/linux64/{soname}": helper.read_bytes()})
 
 
+def as_library(path: Path, gain: float) -> Path:
+    """The library of the FMU has the gain, and the name by which that of `with_library` is known."""
+    with tempfile.TemporaryDirectory() as place:
+        folder = Path(place)
+        (folder / "gain.c").write_text(f"double amplified(double u) {{ return {gain} * u; }}\n")
+        flags = ("-Wl,-soname,libgain.so", '-DOWN_NAME="amplified"')
+        return pack(path, DESCRIPTION, compiled(folder, "amplifier.so", SOURCE, folder / "gain.c", flags=flags))
+
+
 def without_library(path: Path) -> Path:
     """The library that it needs is not in the FMU."""
     with tempfile.TemporaryDirectory() as place, zipfile.ZipFile(with_library(Path(place) / "whole.fmu", 1.0)) as whole:

@@ -143,6 +143,8 @@ def test_a_model_file_is_read_as_it_is_however_soon_after_a_change(
     ("catalogue", "old", "new", "message"),
     [
         ("Late, Play", 'delay = "time"', 'delay = "tim"', 'no parameter "tim"; did you mean "time"?'),
+        ("Late, Play", "def shape(self, m, t, h, command", "def form(self, m, t, h, command", "no method `shape`"),
+        ("Late", "def shape(self, m, t, h, command", "def form(self, m, t, h, command", "no method `shape`"),
         ("Play, Late", "", "", "put it before play in the catalogue"),
         ("Late, Play", 'equation = "play of', 'delay = "width"; equation = "play of', "play and late both"),
         ("Late", 'memory = (Quantity("torque", "N.m", "torque held back"),)', "memory = ()", "1 inputs and has 0"),

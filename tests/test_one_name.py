@@ -15,6 +15,7 @@ from cosim.model.quantities import Parameter
 from cosim.sweeps.store import SWEEP_TABLE, read_table, signal_of
 from cosim.terms.code import TermCode
 from tests.amplifier import (
+    as_library,
     with_class,
     with_data,
     with_function,
@@ -53,6 +54,17 @@ def test_two_fmus_with_code_of_one_name_execute_their_own(tmp_path: Path, form: 
     assert note in "\n".join(cosim.check(tmp_path / "two.yaml"))
     for gain, fmu in fmus.items():
         assert cosim.simulate(fmu, tmp_path / "alone", **ENDS)["amp.y"][-1] == gain
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_a_library_that_an_fmu_needs_is_not_that_of_another_fmu(tmp_path: Path, turned: bool) -> None:
+    makers = [as_library, with_library][:: -1 if turned else 1]
+    fmus = {
+        gain: make(tmp_path / str(k) / "amp.fmu", gain)
+        for k, gain, make in zip((1, 2), (1.5, 4.0), makers, strict=True)
+    }
+    values, _ = ran(tmp_path)
+    assert values == [*fmus]
 
 
 def test_runs_of_a_sweep_execute_the_code_of_their_fmus(tmp_path: Path) -> None:

@@ -14,6 +14,7 @@ POINTER_OF_LFS = b"version https://git-lfs"
 # of the header of a library or program of Linux: format, 32 or 64 bits and byte order, processor
 HEADER_PARTS = slice(0, 6), slice(18, 20)
 UNDEFINED_SYMBOL = r"undefined symbol: (?P<name>[^\s,]+)"
+PACKAGES = {"glibcxx": "libstdc++", "cxxabi": "libstdc++", "gcc": "libgcc"}  # prefix of versions → library
 LOADER_FAULTS = {  # text of the loader → reason and cure
     r"version `(?P<name>[A-Z]+)_(?P<version>[\d.]+)' not found": (
         "needs {package} {version}{here} ({text}); run it on a newer system, or export the FMU on an older system"
@@ -26,7 +27,7 @@ LOADER_FAULTS = {  # text of the loader → reason and cure
         "needs {name}, which no library linked to it defines ({text}); export the FMU again, linked to the library "
         "that defines it"
     ),
-    r"Operation not permitted|Permission denied|failed to map segment": (
+    r"Operation not permitted|Permission denied|failed to map segment(?!.*Cannot allocate)": (
         "may not be executed where FMUs are unpacked ({text}); set TMPDIR to a folder in which programs may be "
         "executed (not mounted noexec)"
     ),
@@ -57,6 +58,7 @@ def load_error(library: Path, error: Exception) -> str:
         if match := re.search(pattern, text):
             names = match.groupdict()
             package = names.get("name", "").lower()
+            package = PACKAGES.get(package, package)
             here = f", this machine has {os.confstr('CS_GNU_LIBC_VERSION')}" if package == "glibc" else ""
             return prefix + reason.format(text=text, here=here, package=package, **names)
     return prefix + text

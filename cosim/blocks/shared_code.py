@@ -124,14 +124,16 @@ class Code:
     """Code of an FMU: name → digest of its content.
 
     Attributes:
-        named: Code that the process finds by name: libraries that other libraries need, unique symbols, modules.
+        wanted: Code that this FMU looks up by name: libraries that its libraries need, unique symbols, modules.
+        offered: Code that another FMU could find by name: the same, and the FMU's own library.
         symbols: Symbols that the FMU's libraries define.
         needed: Libraries that the FMU's libraries need.
         has_variables: Whether instances share variables of a library, as far as is known.
         has_resources: Whether the FMU has files that an instance may change.
     """
 
-    named: dict[str, str] = field(default_factory=dict)
+    wanted: dict[str, str] = field(default_factory=dict)
+    offered: dict[str, str] = field(default_factory=dict)
     symbols: set[str] = field(default_factory=set)
     needed: set[str] = field(default_factory=set)
     has_variables: bool = True
@@ -140,7 +142,7 @@ class Code:
     @cached_property
     def common(self) -> frozenset[str]:
         """Return the names of code whose global data several FMUs of a process have in common."""
-        return frozenset({*self.named, *(name for name in self.needed if not OF_SYSTEM.match(name))})
+        return frozenset({*self.wanted, *(name for name in self.needed if not OF_SYSTEM.match(name))})
 
     @cached_property
     def needs_own_symbols(self) -> bool:
@@ -160,8 +162,9 @@ class Code:
 
     def clash(self, other: Code) -> str:
         """Return a name under which both FMUs have different code; "" if there is none."""
-        common = self.named.keys() & other.named.keys()
-        return min((name for name in common if self.named[name] != other.named[name]), default="")
+        pairs = (self.wanted, other.offered), (other.wanted, self.offered)
+        names = [n for one, two in pairs for n in one.keys() & two.keys() if one[n] != two[n]]
+        return min(names, default="")
 
 
 def code_of(path: Path) -> Code:
@@ -193,14 +196,17 @@ def _code_of(path: Path, _changed: int, _size: int, _file: int) -> Code:
                 with suppress(struct.error, ValueError, IndexError, OverflowError):
                     elf = _read(content)
             elfs.append(elf)
-            if name.partition(".")[0] not in own and elf.defined.isdisjoint(versions):  # not the library of the FMU
-                code.named |= {f"library {n}": digest for n in (name, elf.soname) if n}
-            code.named |= {f"C++ symbol {n}": digest for n in elf.unique if not OF_STD.match(n)}
+            names = {f"library {n}": digest for n in (name, elf.soname) if n}
+            unique = {f"C++ symbol {n}": digest for n in elf.unique if not OF_STD.match(n)}
+            is_fmu = name.partition(".")[0] in own or not elf.defined.isdisjoint(versions)
+            code.wanted |= unique if is_fmu else names | unique
+            code.offered |= names | unique
             code.symbols |= elf.defined
             code.needed |= elf.needed
     code.has_variables = not elfs or any(elf.has_variables for elf in elfs)
     modules = _modules([(info.filename, _digest(info)) for info in files])
-    code.named |= {f"Python module {name}": digest for name, digest in modules.items()}
+    for name, digest in modules.items():
+        code.wanted[f"Python module {name}"] = code.offered[f"Python module {name}"] = digest
     return code
 
 

@@ -193,7 +193,7 @@ def platforms_among(names: Sequence[str]) -> list[str]:
 
 def no_library(here: str, platforms: Sequence[str]) -> str:
     """Return a message that an FMU has no library for this platform, with the cure."""
-    others = ", ".join(p for p in platforms if p != C_CODE)
+    others = ", ".join(p for p in platforms if p not in (C_CODE, here))
     text = f"it has no library named as its modelIdentifier for {here}{f', only for {others}' if others else ''}"
     if C_CODE in platforms:
         text += "; to compile and run its sources, use --compile (in Python compile=True)"

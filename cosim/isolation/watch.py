@@ -138,6 +138,9 @@ def _processor_time(pid: int) -> tuple[float, str]:
     return 0.0, psutil.STATUS_DEAD
 
 
+CRASHES = {"SIGSEGV", "SIGABRT", "SIGBUS", "SIGFPE", "SIGILL", "SIGTRAP", "SIGSYS"}
+
+
 def how_ended(code: int) -> str:
     """Return a phrase that explains a process's return code."""
     if code >= 0:
@@ -145,7 +148,9 @@ def how_ended(code: int) -> str:
     name = signal.Signals(-code).name if -code in set(signal.Signals) else f"signal {-code}"
     if name == "SIGKILL":
         return f"was killed, probably by the operating system because memory ran out ({name})"
-    return f"crashed: {(signal.strsignal(-code) or 'unknown').lower()} ({name})"
+    if name in CRASHES:
+        return f"crashed: {(signal.strsignal(-code) or 'unknown').lower()} ({name})"
+    return f"was ended ({name})"
 
 
 class Clock:

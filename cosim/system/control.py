@@ -94,7 +94,8 @@ def control_of(building: Building, transfers: Sequence[Transfer]) -> Control | N
             if found and (found[0].factor, found[0].offset) == (1.0, 0.0):
                 ends.append((found[0].source, found[0].target))
             else:
-                hint = did_you_mean(output, {t.origin for t in transfers})
+                origins = {t.origin for t in transfers}
+                hint = "" if output in origins else did_you_mean(output, origins)
                 message = f'no output "{output}" with a connection to {owner} without conversion of units{hint}'
                 building.note(("step", "bonds", k, side), message)
         if len(ends) == 2:

@@ -181,7 +181,8 @@ def build_system(file: ScenarioFile) -> System:
         found = read_credibility(blocks[goal.of].path) if goal.of in blocks else Found(None)
         if found.record is None and (goal.of in components or goal.of not in scenario.components):
             reason = found.problem or "no FMU with a record of credibility"
-            cure = f"name an FMU of `cosim refine` or `cosim fit`{did_you_mean(goal.of, blocks)}"
+            hint = "" if goal.of in scenario.components else did_you_mean(goal.of, blocks)
+            cure = f"name an FMU of `cosim refine` or `cosim fit`{hint}"
             building.note((*where, "of"), f"{goal.of}: {reason}; {cure}")
     is_connected = is_whole and all(transfers)
     has_events = any(isinstance(component, EventFmu) for component in components.values())

@@ -251,7 +251,9 @@ def _effect_faults(kind: type[Model]) -> Faults:
         if issubclass(owner, Delay) and longest > owner.longest:
             late = f"allows a delay up to {longest:g} s but stores {owner.longest:g} s of history"
             yield owner, owner.delay, f"{owner.name} {late}; set longest = {longest:g}"
-        if owner is not delays[0]:
+        if owner not in order:
+            yield owner, "delay", f"{owner.name} delays the command but has no method `shape`; add it"
+        elif owner is not delays[0]:
             yield owner, "delay", f"{owner.name} and {delays[0].name} both delay the command; only one effect may"
         elif owner is not order[0]:
             yield kind, "catalogue", f"{owner.name} delays the command: put it before {order[0].name} in the catalogue"

@@ -220,6 +220,8 @@ def library_of(
 def load_library(source: str, *headers: Path) -> ctypes.CDLL:
     """Compile source and headers for this machine, and return the loaded library.
 
+    A library is compiled again if the cached one does not load on this machine.
+
     Raises:
         NoCompiler: No compiler exists.
         CompilerFailed: The compiler fails.
@@ -227,8 +229,10 @@ def load_library(source: str, *headers: Path) -> ctypes.CDLL:
     files = {"model.c": source.encode(), **{path.name: path.read_bytes() for path in headers}}
     command = [*required_compiler(), *OPTIONS, *POSITION]
     library = library_of(files, "model.c", command)
-    try:
+    with suppress(OSError):
         return ctypes.CDLL(str(library))
+    library.unlink(missing_ok=True)
+    try:
+        return ctypes.CDLL(str(library_of(files, "model.c", command)))
     except OSError as error:
-        library.unlink(missing_ok=True)  # a cache of another machine; the next command compiles again
         raise CompilerFailed(f"{command[0]} built a library that does not load: {error}") from error

@@ -118,7 +118,10 @@ class Graph:
             tip = f'<path class="tip" d="M{x2:.1f} {y2:.1f}l-8 -4v8z"/>'
             parts.append(f"<g><title>{escape(title)}</title>{wire}{tip}</g>")
         key = "Numbers are the order in which components step."
-        if any(link.held for link in self.links):
+        held = [link.held for link in self.links]
+        if held and all(held):  # as under Jacobi
+            key = "Every component receives the values at the start of the step."
+        elif any(held):
             key += " Dashed lines transfer values at the start of the step, other lines values at its end."
         height = bottom + LANE * len(below) + 37
         parts.append(_text("key", MARGIN, height - 15, key))
