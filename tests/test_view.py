@@ -1,4 +1,4 @@
-"""The signal browser without a browser: extremes of blocks, tables, derived signals, its server, bad input."""
+"""The signal browser without a browser: extremes of blocks, tables, its server, bad input."""
 
 from __future__ import annotations
 
@@ -265,7 +265,7 @@ def test_columns_of_a_table_are_named_by_the_user(tmp_path: Path, monkeypatch: p
     run = RunPlace("a", "a", tmp_path / "a.csv", columns={"stamp": "time", "v": "speed"})
     rows = ViewedRun(run).rows
     assert (rows.read(TIME_COLUMN).tolist(), rows.read("speed").tolist()) == ([0, 1, 2], [1, 2, 3])
-    assert rows.unit("speed") == "m"
+    assert rows.units["speed"] == "m"
     words = "view", "a.csv", "--prepare", "--column"
     monkeypatch.chdir(tmp_path)
     assert "1 run" in told(*words, "stamp=time")
@@ -294,24 +294,6 @@ def test_statistics_and_spectra_are_those_of_the_rows_between_two_times(tmp_path
     assert frequency[level.argmax()] == pytest.approx(12.5, abs=0.5)
     power = np.sum(10.0 ** (level / 10.0)) * (frequency[1] - frequency[0])
     assert power == pytest.approx(2.0, rel=0.01)  # half the square of the amplitude, by Parseval
-
-
-def test_a_derived_signal_is_a_signal_of_its_run_and_never_derived_from_itself(page: tuple[ServedPage, Ask]) -> None:
-    _, ask = page
-    x, d = {"a": [1, "x"]}, {"a": [1, "d"]}
-    for name, formula, of, made in (("d", "a", x, "d"), ("e", "2 * a", d, "e"), ("d", "3 * a", x, "de")):
-        found = ask("derive", {"name": name, "formula": formula, "of": of})
-        assert [each["name"] for each in found] == [*made]  # also what depends on it
-    for wrong in (
-        {"name": "x", "formula": "a", "of": x},
-        {"name": "d", "formula": "a", "of": {"a": [1, "e"]}},
-        {"name": "d", "formula": "q", "of": x},
-        {"remove": [1, "d"]},  # e is derived from it
-        {"remove": [1, "x"]},
-    ):
-        refusal(ask, "derive", wrong)
-    assert values_at(ask, 1.0, [1, "d"], [1, "e"]) == [9, 18]
-    assert ask("derive", {"remove": [1, "e"]}) == []
 
 
 @pytest.mark.parametrize(
@@ -355,7 +337,6 @@ def test_a_run_that_grows_is_followed_and_one_that_is_removed_is_told(
     page: tuple[ServedPage, Ask], tmp_path: Path
 ) -> None:
     made, ask = page
-    ask("derive", {"name": "d", "formula": "2 * a", "of": {"a": [1, "x"]}})
     with (tmp_path / "r1.csv").open("a") as stream:
         stream.write("2,7,8\n")
     (tmp_path / "r0.csv").unlink()
@@ -363,4 +344,4 @@ def test_a_run_that_grows_is_followed_and_one_that_is_removed_is_told(
     while made.state()["spans"][1] != [4, 0.0, 2.0] or len(made.state()["lost"]) < 1:
         assert time.monotonic() < until, made.state()
         time.sleep(0.1)
-    assert values_at(ask, 5.0, [1, "x"], [1, "d"]) == [7.0, 14.0]
+    assert values_at(ask, 5.0, [1, "x"]) == [7.0]

@@ -104,9 +104,6 @@ def test_signals_are_searched_dragged_and_added_by_keys_and_the_page_is_accessib
     assert page.locator("[role=treeitem].now").inner_text().startswith("bus.n99.s9999")
     assert page.locator("[role=treeitem]").count() < 80
     assert hindrances(page) == []
-    page.click("#derive")
-    assert hindrances(page) == []
-    page.click("#derive-close")
     page.set_viewport_size({"width": 360, "height": 740})
     assert page.evaluate("document.documentElement.scrollWidth") <= 360
     page.emulate_media(media="print")
@@ -151,12 +148,6 @@ def test_zoom_cursor_files_and_layouts(browser: Browser, page_of_runs: ServedPag
     page.keyboard.press("0")
     until(page, DRAWN)
     assert float(page.input_value("#to")) == 99.999  # of the runs that are drawn; another one ends at 100
-    page.click("#derive")
-    page.fill("#formula", "lowpass(a, 0.5)")
-    page.fill("#derived-name", "smooth")
-    page.click("#derive-form button:has-text('Add')")
-    page.wait_for_selector("#derive-box:not([open])", state="attached")
-    assert sorted(name for name in _names(page) if "smooth" in name) == ["smooth · run 0", "smooth · run 1"]
 
     page.click("#add-plane")
     page.locator("#tree").focus()

@@ -80,7 +80,6 @@ class Recording:
     Attributes:
         units: Signal → unit, "" without unit, in the order of the file.
         rows: Number of rows.
-        added: Units of computed signals.
         texts: Signals that doubles cannot represent, with all values as text; large integers also have a numeric
             column.
         assumed: Assumptions made when the table was read, as sentences.
@@ -92,7 +91,7 @@ class Recording:
         units: Mapping[str, str],
         texts: Mapping[str, Sequence[Any]] = MappingProxyType({}),
     ) -> None:
-        self.units, self.texts, self.added = dict(units), texts, dict[str, str]()
+        self.units, self.texts = dict(units), texts
         self.assumed: Sequence[str] = ()
         self._columns = {TIME_COLUMN: np.zeros(0), **columns}
         self.rows = self._columns[TIME_COLUMN].size
@@ -112,28 +111,10 @@ class Recording:
             self._columns |= dict(zip((TIME_COLUMN, *self.units), self._table[:, :rows], strict=True))
             self.rows = rows
 
-    def unit(self, name: str) -> str:
-        """Return the unit of a signal."""
-        return (self.units | self.added).get(name, "")
-
-    def add(self, name: str, values: Array, unit: str) -> None:
-        """Add a computed signal."""
-        with self._lock:
-            self._columns[name], self.added[name] = values, unit
-            self._extremes.pop(name, None)
-
-    def remove(self, name: str) -> None:
-        """Remove a computed signal."""
-        with self._lock:
-            del self._columns[name], self.added[name]
-            self._extremes.pop(name, None)
-
     def column(self, name: str) -> Array:
-        """Return all rows of a column; NaN in rows that arrived after a signal was computed."""
+        """Return all rows of a column."""
         with self._lock:
-            values = self._columns[name]
-            missing = self.rows - values.size
-            return np.append(values, np.full(missing, np.nan)) if missing > 0 else values
+            return self._columns[name]
 
     def read(self, name: str, begin: int = 0, end: int | None = None) -> Array:
         """Return the rows `begin` to `end` (exclusive) of a column."""

@@ -93,29 +93,26 @@ class ViewedRun:
         pairs = ((str(c.get("of")), c.get("to")) for c in entries)
         return [*dict.fromkeys((of, to if isinstance(to, str) else "") for of, to in pairs)]
 
-    def follow(self) -> bool:
-        """Read a changed file again; return True if its rows changed.
+    def follow(self) -> None:
+        """Read a changed file again.
 
         A file that is gone, or has other signals or fewer rows, belongs to another run; `lost` then has the reason.
         """
         if self._is_fed or self.lost:
-            return False
+            return
         state, lost = file_state(self.place.file), FILE_LOST.format(label=self.place.label)
         if state == (0, 0):
             self.lost = lost
         if self.lost or state == self._state or time.monotonic() < self._due:
-            return False
+            return
         try:
             table = self._open()
         except (InputError, OSError):
-            return False  # it is being written
+            return  # it is being written
         if [*table.units] != [*self.rows.units] or table.rows < self.rows.rows:
             self.lost = lost
-            return False
-        for name, unit in self.rows.added.items():
-            table.add(name, self.rows.read(name), unit)
+            return
         self._state, self.rows = state, table
-        return True
 
 
 def file_state(file: Path) -> tuple[int, int]:

@@ -1,4 +1,4 @@
-"""The signal browser: points to draw, values at the cursor, derived signals, exports, layouts."""
+"""The signal browser: points to draw, values at the cursor, exports, layouts."""
 
 from __future__ import annotations
 
@@ -23,7 +23,6 @@ from cosim.core.scratch import process_folder
 from cosim.core.text import displayed, showing, shown_unit
 from cosim.files.csv_source import cell_text, write_table
 from cosim.files.files import parse_json
-from cosim.pages.formulas import Definition, Derivations
 from cosim.pages.layouts import Layouts
 from cosim.pages.rows import TIME_COLUMN, Picture
 from cosim.pages.runs import FILE_CHECK_INTERVAL_S, ViewedRun
@@ -49,15 +48,6 @@ class Wanted(BaseModel):
     across: list[Signal] = []
 
 
-class Derived(BaseModel):
-    """A derived signal to add or change, with the signals of its letters."""
-
-    name: str = Field(pattern=r"\S")
-    formula: str
-    of: dict[str, Signal] = Field(min_length=1)
-    unit: str = ""
-
-
 M = TypeVar("M", bound=BaseModel)
 
 
@@ -72,14 +62,12 @@ class Viewer:
         self.runs, self._layouts, self._notes = list(runs), layouts, list(notes)
         self._looked, self._exports = 0.0, count()
         self._lock = threading.Lock()
-        self._derivations = Derivations(self.runs)
 
     def routes(self) -> dict[str, Handler]:
         """Return the routes of the page."""
         data = self._points, self._plane, self._spectrum, self._statistics, self._values, self._texts
         return {
             "GET /about": self._about,
-            "POST /derive": self._derive,
             "POST /layouts": self._save_layout,
             "GET /export.csv": self._export,
             **{f"POST /{f.__name__[1:]}": partial(_of_request, f) for f in data},
@@ -89,8 +77,8 @@ class Viewer:
         """Return the numbers of rows, the time ranges, and the reasons why runs are lost."""
         with self._lock:
             if time.monotonic() - self._looked > FILE_CHECK_INTERVAL_S:
-                grown = [k for k, run in enumerate(self.runs) if run.follow()]
-                self._derivations.renew(grown)
+                for run in self.runs:
+                    run.follow()
                 self._looked = time.monotonic()
         spans = [[run.rows.rows, *run.rows.span()] for run in self.runs]
         return {"lost": [run.lost for run in self.runs if run.lost], "spans": spans}
@@ -100,14 +88,14 @@ class Viewer:
     def _about(self, request: Request, _: Any) -> Response:
         """Return the runs, with names and units of numeric signals and names of text signals."""
         runs = []
-        for number, run in enumerate(self.runs):
+        for run in self.runs:
             with showing(*(run.record for run in self.runs)):
                 units = [shown_unit(unit) for unit in run.rows.units.values()]
             first, last = run.rows.span()
             place = {"name": run.place.name, "label": run.place.label, "file": str(run.place.file)}
             signals = {"numbers": [*run.rows.units], "units": units, "texts": [*run.rows.texts], "judged": run.judged}
             span = {"rows": run.rows.rows, "from": first, "to": last}
-            runs.append({**place, **signals, **span, "derived": self._derivations.of_run(number)})
+            runs.append({**place, **signals, **span})
         layouts = self._layouts.read() if self._layouts is not None else {}
         return Json({"runs": runs, "layouts": layouts, "notes": self._notes})
 
@@ -201,15 +189,6 @@ class Viewer:
             texts.append(str(run.rows.exact(name, row, row + 1)[0]) if row >= 0 else None)
         return Json(texts)
 
-    def _derive(self, request: Request, content: Any) -> Response:
-        """Add, change or remove a derived signal; return the signals with new values."""
-        if isinstance(content, dict) and "remove" in content:
-            self._derivations.remove(*_read(Wanted, {"curves": [content["remove"]]}).curves[0])
-            return Json([])
-        wanted = _read(Derived, content)
-        self._curves([*wanted.of.values()])
-        return Json(self._derivations.define(wanted.name, Definition(wanted.formula, wanted.of, wanted.unit)))
-
     def _save_layout(self, request: Request, content: Any) -> Response:
         """Save or remove a layout; return all layouts."""
         layout = content.get("layout") if isinstance(content, dict) else ""
@@ -232,7 +211,7 @@ class Viewer:
         several, heads = len({id(run) for run, _ in curves}) > 1, ["time"]
         columns, places = list[Array | list[str]](), [np.empty((0, 2))]
         for (run, name), span in zip(curves, spans, strict=True):
-            at, unit = run.rows.read(TIME_COLUMN, *span), run.rows.unit(name)
+            at, unit = run.rows.read(TIME_COLUMN, *span), run.rows.units.get(name, "")
             heads.append(f"{f'{run.place.label}: ' * several}{name}{f' [{unit}]' * bool(unit)}")
             columns.append(run.rows.exact(name, *span))
             # the time, and the number of the row among those of the same time, because all of them are kept
@@ -260,7 +239,7 @@ class Viewer:
     def _shown(self, run: ViewedRun, name: str, values: Array) -> Array:
         """Convert values of a signal to its display unit."""
         with showing(*(each.record for each in self.runs)):
-            shown: Array = displayed(values, run.rows.unit(name))
+            shown: Array = displayed(values, run.rows.units.get(name, ""))
         return shown
 
     # -- content of requests ----------------------------------------------------------------------------
@@ -273,9 +252,7 @@ class Viewer:
         """
         for number, name in signals:
             rows = self.runs[number].rows if 0 <= number < len(self.runs) else None
-            if rows is None or not (
-                name == TIME_COLUMN or name in rows.units or name in rows.added or (texts and name in rows.texts)
-            ):
+            if rows is None or not (name == TIME_COLUMN or name in rows.units or (texts and name in rows.texts)):
                 raise _refused("a run and one of its signals")
         return [(self.runs[number], name) for number, name in signals]
 

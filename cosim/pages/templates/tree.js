@@ -24,7 +24,7 @@ const signalsBelow = (node) => [
 ];
 
 class SignalTree {
-  // runs: [{label, names, derived, units}]; add(curves, isNew): what Enter does, with [run, name] pairs
+  // runs: [{label, names, units}]; add(curves, isNew): what Enter does, with [run, name] pairs
   constructor(box, runs, add) {
     Object.assign(this, { box, runs, add, group: "run", words: "", open: new Set(), rows: [], at: 0 });
     this.tries = new Map();
@@ -97,12 +97,10 @@ class SignalTree {
   fillRun(run, place, found) {
     const test = found && ((name) => found(name, run.label)),
       own = test ? run.names.filter(test) : run.names,
-      derived = run.derived.filter((name) => !test || test(name)),
-      count = own.length + derived.length;
+      count = own.length;
     if (found && !count) return;
-    const every = () => [...own, ...derived].map((name) => [place, name]);
+    const every = () => own.map((name) => [place, name]);
     if (!this.row(`${place}`, 1, run.label, every, { group: true, count })) return;
-    for (const name of derived) this.row(`${place}=${name}`, 2, name, () => [[place, name]], { unit: run.units[name] });
     if (found)
       for (const name of own) this.row(`${place}.${name}`, 2, name, () => [[place, name]], this.about(run, name));
     else
@@ -139,7 +137,7 @@ class SignalTree {
   }
 
   fillSignals(found) {
-    const names = [...new Set(this.runs.flatMap((run) => [...run.derived, ...run.names]))];
+    const names = [...new Set(this.runs.flatMap((run) => run.names))];
     const [units, kinds] = ["units", "kinds"].map((part) => Object.assign({}, ...this.runs.map((run) => run[part])));
     const aboutOf = (name) => this.about({ units, kinds }, name);
     const isHere = (run, name) => name in run.units && (!found || found(name, run.label));

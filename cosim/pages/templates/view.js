@@ -1,4 +1,4 @@
-// The signal browser: plots over one time, points from the server for what is in sight, layouts, derived signals; of a
+// The signal browser: plots over one time, points from the server for what is in sight, layouts; of a
 // running command also its rows as they come.
 /* global one, all, make, button, put, readable, post, request, safeName, lastUpTo, Linked, Chart, SignalTree,
    MOST_AXES, COLOURS */
@@ -242,7 +242,6 @@ const MOST_DROPPED = 24, // signals of a group that are added at once
   DENSE = 24, // curves; more are painted as pixels, of half as many columns
   IN_PLOT = 6, // signals of a plot at the start of a running command
   MOST_JUDGED = 6; // plots at the start, of signals with criteria
-const READY = ["a - b", "a + b", "a * b", "a / b", "der(a)", "integral(a)", "lowpass(a, 1)", "abs(a)", "hypot(a, b)"];
 const paper = matchMedia("print");
 
 // All plots of the page, with one time and one cursor.
@@ -274,10 +273,8 @@ class Desk extends Linked {
         kinds[name] = name in own ? "whole" : "text"; // integers that doubles may round are numbers and texts
         own[name] ??= "";
       }
-      for (const { name, unit } of run.derived) own[name] = unit;
-      const names = [...new Set([...numbers, ...texts])],
-        derived = run.derived.map(({ name }) => name);
-      return { ...run, short: isOne ? short : run.label, names, units: own, kinds, formulas: run.derived, derived };
+      const names = [...new Set([...numbers, ...texts])];
+      return { ...run, short: isOne ? short : run.label, names, units: own, kinds };
     });
     this.measureTime();
     this.view = { ...this.whole };
@@ -397,15 +394,10 @@ class Desk extends Linked {
     const points = this.curves.reduce((sum, curve) => sum + (curve.points?.x.length ?? 0), 0);
     return this.isDense || (!paper.matches && points > QUICK);
   }
-  // Run and formula of a curve.
+  // The run of a curve.
   about({ run, name }) {
-    const { label, formulas, kinds } = this.runs[run],
-      made = formulas.find((f) => f.name === name);
-    if (kinds[name] === "text") return `${label}\nTexts are not drawn; the cursor shows them.`;
-    if (!made) return label;
-    const of = (r, signal) => (r === run ? signal : `${signal} of ${this.runs[r].short}`),
-      parts = Object.entries(made.of).map(([letter, [r, signal]]) => `${letter}: ${of(r, signal)}`);
-    return `${label}\n${made.formula} with ${parts.join(", ")}`;
+    const { label, kinds } = this.runs[run];
+    return kinds[name] === "text" ? `${label}\nTexts are not drawn; the cursor shows them.` : label;
   }
 
   // -- view and cursor ------------------------------------------------------------------------------
@@ -605,65 +597,25 @@ class Desk extends Linked {
     curves.forEach((curve, k) => (curve.points = before[k]));
   }
 
-  // -- derived signals ----------------------------------------------------------------------------------
-  async derive(name, formula, of, unit) {
-    for (const made of await post("derive", { name, formula, of, unit })) this.takeDerived(made); // also what depends on it
-  }
-  takeDerived(made) {
-    const run = this.runs[made.run],
-      isHere = (curve) => curve.run === made.run && curve.name === made.name;
-    run.units[made.name] = made.unit;
-    run.formulas = [...run.formulas.filter((f) => f.name !== made.name), made];
-    run.derived = run.formulas.map(({ name }) => name);
-    for (const plot of this.charts.filter((each) => each.curves.some(isHere))) {
-      for (const curve of plot.curves.filter(isHere)) Object.assign(curve, { unit: made.unit, value: null });
-      plot.build();
-    }
-  }
-  async underive(made) {
-    await post("derive", { remove: [made.run, made.name] });
-    const run = this.runs[made.run],
-      isIt = (c) => c?.run === made.run && c.name === made.name;
-    run.formulas = run.formulas.filter((f) => f.name !== made.name);
-    run.derived = run.formulas.map(({ name }) => name);
-    delete run.units[made.name];
-    for (const plot of this.charts) {
-      if (isIt(plot.across)) plot.across = null;
-      for (const curve of plot.curves.filter((c) => isIt(c) || (plot.kind === "xy" && !plot.across))) plot.take(curve);
-    }
-  }
-
   // -- layouts --------------------------------------------------------------------------------------------
   layout() {
     const named = ({ run, name, ...more }) => ({ run: this.runs[run].name, name, ...more }),
-      curveOf = ({ run, name, colour, hidden }) => named({ run, name, colour, hidden }),
-      parts = (of) =>
-        Object.fromEntries(Object.entries(of).map(([letter, [run, name]]) => [letter, named({ run, name })]));
-    const derived = this.runs.flatMap((run) =>
-      run.formulas.map(({ name, formula, of, stated_unit: unit }) => ({ name, formula, unit, of: parts(of) })),
-    );
+      curveOf = ({ run, name, colour, hidden }) => named({ run, name, colour, hidden });
     const plots = this.charts.map(({ kind, across, axes, grid }) => ({
       kind,
       height: parseInt(grid.style.height) || null,
       across: across && named(across),
       axes: axes.map(({ range, curves }) => ({ range, curves: curves.map(curveOf) })),
     }));
-    return { view: { ...this.view }, columns: Number(one("#columns").value), plots, derived };
+    return { view: { ...this.view }, columns: Number(one("#columns").value), plots };
   }
   // A run of a layout that is not here is the only one, if there is only one in both.
-  async open(content) {
-    const names = new Set(content.plots.flatMap((p) => p.axes.flatMap((a) => a.curves.map((c) => c.run)))),
+  open(content) {
+    const { plots = [] } = content,
+      names = new Set(plots.flatMap((p) => p.axes.flatMap((a) => a.curves.map((c) => c.run)))),
       isOnly = names.size === 1 && this.runs.length === 1,
       find = (label) => (isOnly ? 0 : this.runs.findIndex((run) => run.name === label)),
-      [missing, wrong] = [[], []];
-    for (const { name, formula, of, unit } of content.derived ?? []) {
-      const here = Object.fromEntries(Object.entries(of).map(([k, c]) => [k, [find(c.run), c.name]]));
-      if (Object.values(here).some(([run, signal]) => run < 0 || !(signal in this.runs[run].units))) missing.push(name);
-      else
-        await this.derive(name, formula, here, unit).catch((error) =>
-          wrong.push(`${name} is left out: ${error.message}`),
-        );
-    }
+      missing = [];
     const known = (c) => {
       const run = find(c.run);
       if (run >= 0 && c.name in this.runs[run].units) return [{ ...c, run }];
@@ -673,7 +625,7 @@ class Desk extends Linked {
     for (const plot of this.charts) plot.figure.remove();
     this.charts = [];
     this.arrange(content.columns ?? 1);
-    for (const { kind, across, axes, height } of content.plots) {
+    for (const { kind, across, axes, height } of plots) {
       const plot = this.addPlot(["xy", "spectrum"].includes(kind) ? kind : "time");
       plot.across = across ? (known(across)[0] ?? null) : null;
       const isReady = plot.kind !== "xy" || plot.across;
@@ -694,7 +646,6 @@ class Desk extends Linked {
       this.warn(
         `Omitted, because these runs lack them: ${missing.slice(0, 5).join(", ")}${missing.length > 5 ? ", …" : ""}`,
       );
-    for (const words of wrong) this.warn(words);
   }
   // The signals of criteria, each with its target, in all runs that have them.
   plotJudged() {
@@ -728,12 +679,11 @@ class Desk extends Linked {
   }
 }
 
-// The page around the desk: tree, tools, dialog of derived signals, layouts; inputs of a running command.
+// The page around the desk: tree, tools, layouts; inputs of a running command.
 async function startView(inputs = null) {
   const about = await (await fetch("about")).json(),
     desk = new Desk(about, inputs !== null),
-    { runs } = desk,
-    LETTERS = ["a", "b", "c"];
+    { runs } = desk;
   let { layouts } = about;
   const fail = (place, error) => {
     place.hidden = !error;
@@ -760,7 +710,7 @@ async function startView(inputs = null) {
     tree.tries.clear();
     tree.union = null;
     tree.fill();
-    const total = runs.reduce((sum, run) => sum + run.names.length + run.derived.length, 0);
+    const total = runs.reduce((sum, run) => sum + run.names.length, 0);
     put(one("#count"), `${total} signals${runs.length > 1 ? ` of ${runs.length} runs` : ""}`);
   };
   one("#find").oninput = (event) => tree.search(event.target.value.trim());
@@ -784,118 +734,8 @@ async function startView(inputs = null) {
       else desk.looked();
     };
 
-  // -- derived signals ----------------------------------------------------------------------------------
-  const field = (letter) => [one(`#run-${letter}`), one(`#letter-${letter}`)],
-    isUsed = (letter) => one("#formula").value.match(`\\b${letter}\\b`);
-  function chosen() {
-    const of = {};
-    for (const letter of LETTERS) {
-      const [place, { value }] = field(letter),
-        run = Number(place.value),
-        text = value in runs[run].units ? value : value.trim(); // a name may end in a blank
-      if (!text || !isUsed(letter)) continue;
-      if (!(text in runs[run].units)) throw new Error(`${text} is no signal of ${runs[run].label}.`);
-      if (runs[run].kinds[text] === "text") throw new Error(`${text} has texts, and a formula takes numbers.`);
-      of[letter] = [run, text];
-    }
-    if (!Object.keys(of).length) throw new Error("Assign a signal to at least one letter.");
-    return of;
-  }
-  function suggestName() {
-    const places = new Set(LETTERS.filter(isUsed).map((letter) => field(letter)[0].value));
-    const words = (letter) => {
-      const [place, { value }] = field(letter);
-      return (value || letter) + (places.size > 1 ? ` (${runs[place.value].short})` : "");
-    };
-    one("#derived-name").value = one("#formula").value.replace(/\b[abc]\b/g, words);
-  }
-  one("#derive").onclick = () => {
-    const curves = desk.active.curves.map((c) => [c.run, c.name]);
-    const letters = LETTERS.map((letter, k) => {
-      const options = runs.map((run, place) => make("option", { value: place }, run.label)),
-        run = make("select", { id: `run-${letter}`, "aria-label": `Run of ${letter}` }, ...options),
-        about = { id: `letter-${letter}`, type: "text", list: "names", autocomplete: "off", spellcheck: "false" },
-        name = make("input", about);
-      run.value = curves[k]?.[0] ?? 0;
-      run.hidden = runs.length < 2;
-      name.value = curves[k]?.[1] ?? "";
-      return make("label", {}, `${letter} `, name, run);
-    });
-    const names = Object.keys(runs[0].units).slice(0, 2000);
-    one("#letters").replaceChildren(
-      ...letters,
-      make("datalist", { id: "names" }, ...names.map((value) => make("option", { value }))),
-    );
-    one("#ready").replaceChildren(...READY.map((text) => make("option", {}, text)));
-    one("#ready").value = one("#formula").value = curves.length > 1 ? READY[0] : "der(a)";
-    one("#derived-unit").value = "";
-    suggestName();
-    listDerived();
-    fail(one("#derive-error"), null);
-    one("#derive-box").showModal();
-  };
-  // Derived signals by their names; a click shows the formula for a change.
-  function listDerived() {
-    const entry = (made) => {
-      const label = `${made.name}${runs.length > 1 ? ` · ${runs[made.run].short}` : ""}`;
-      const away = () =>
-        attempt(one("#derive-error"), async () => {
-          await desk.underive(made);
-          renew();
-          listDerived();
-        });
-      const show = button(label, () => showFormula(made), { title: desk.about(made) });
-      return make("li", {}, show, " ", button("×", away, { class: "away", "aria-label": `Remove ${label}` }));
-    };
-    one("#derived-list").replaceChildren(...runs.flatMap((run) => run.formulas).map(entry));
-  }
-  function showFormula({ name, formula, of, stated_unit: unit }) {
-    for (const [letter, [run, signal]] of Object.entries(of).filter(([each]) => LETTERS.includes(each))) {
-      const [place, text] = field(letter);
-      [place.value, text.value] = [run, signal];
-    }
-    [one("#formula").value, one("#derived-name").value, one("#derived-unit").value] = [formula, name, unit];
-    one("#formula").focus();
-  }
-  one("#ready").onchange = () => {
-    one("#formula").value = one("#ready").value;
-    suggestName();
-  };
-  one("#letters").onchange = suggestName;
-  one("#formula").oninput = suggestName;
-  one("#derive-close").onclick = () => one("#derive-box").close();
-  one("#derive-form").onsubmit = (event) => {
-    event.preventDefault();
-    return attempt(one("#derive-error"), async () => {
-      const of = chosen(),
-        [label, formula, unit] = ["#derived-name", "#formula", "#derived-unit"].map((id) => one(id).value.trim()),
-        signals = Object.values(of),
-        [[first]] = signals,
-        isOneRun = signals.every(([run]) => run === first),
-        others = one("#every-run").checked && isOneRun ? [...runs.keys()].filter((k) => k !== first) : [],
-        added = [];
-      for (const place of [first, ...others.filter((k) => signals.every(([, name]) => name in runs[k].units))]) {
-        const here = place === first ? of : Object.fromEntries(Object.entries(of).map(([k, [, s]]) => [k, [place, s]]));
-        try {
-          await desk.derive(label, formula, here, unit);
-          added.push([place, label]);
-        } catch (error) {
-          if (place === first) throw error;
-          desk.warn(`${label} of ${runs[place].label} is left out: ${error.message}`);
-        }
-      }
-      renew();
-      one("#derive-box").close();
-      desk.add(added, desk.active);
-    });
-  };
-
   // -- layouts ------------------------------------------------------------------------------------------
   const inLayouts = (deed) => attempt(one("#layout-error"), deed);
-  async function open(content) {
-    await desk.open(content);
-    renew();
-  }
   async function putLayout(label, content) {
     layouts = await post("layouts", { name: label, layout: content });
     listLayouts();
@@ -905,7 +745,7 @@ async function startView(inputs = null) {
     const entry = (label) => {
       const show = () => {
         one("#layout-name").value = label;
-        inLayouts(() => open(layouts[label]));
+        inLayouts(() => desk.open(layouts[label]));
       };
       const away = () => inLayouts(() => putLayout(label, null));
       const parts = [button(label, show, { class: "act" })];
@@ -925,7 +765,7 @@ async function startView(inputs = null) {
   if (inputs) desk.plotFirst(inputs);
   else desk.plotJudged();
   desk.home();
-  if (first) await inLayouts(() => open(first));
+  if (first) await inLayouts(() => desk.open(first));
   new ResizeObserver(() => desk.looked()).observe(one("#charts"));
   addEventListener("beforeprint", () => {
     const drawn = [...new Set(desk.charts.flatMap((plot) => plot.curves.map((c) => c.run)))].sort((a, b) => a - b);
