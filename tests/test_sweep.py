@@ -438,3 +438,10 @@ def test_a_faulty_factor_is_refused_at_its_place(tanks: Callable[..., Path], ent
     (place,) = places_of(tanks(f"scenario: tanks.yaml\nvary:\n  {entry}\n"))
     assert place[0] == 3
     assert f"  {entry}"[place[1] - 1 :].startswith(at)
+
+
+def test_a_value_that_is_both_set_and_varied_is_refused(tanks: Callable[..., Path]) -> None:
+    for given, varied in (("tank.area: 1", "tank.area: {values: [1]}"), ("seed: 3", "seed: {values: [1, 2]}")):
+        (place,) = places_of(tanks(f"scenario: tanks.yaml\nset: {{{given}}}\nvary:\n  {varied}\n"))
+        assert place[0] == 4
+    assert read_sweep(tanks("scenario: tanks.yaml\nset: {seed: 3}\nvary:\n  seed: {count: 2}\n")).count == 2

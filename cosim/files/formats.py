@@ -121,7 +121,10 @@ def _fields(schema: Any) -> list[tuple[int, Any]]:
     The time is the column `time`, or else the index of a pandas table, which pandas writes as its last column. An index
     without a name is left out if it contains row numbers or if a column is called time.
     """
-    of_pandas = json.loads((schema.metadata or {}).get(PANDAS, b"{}")).get("index_columns", ())
+    try:
+        of_pandas = [*json.loads(schema.metadata[PANDAS])["index_columns"]]
+    except (KeyError, TypeError, ValueError):  # not written by pandas, or damaged
+        of_pandas = []
     times = [k for k, field in enumerate(schema) if is_time(split_heading(field.name)[0])]
     times += [k for k, field in enumerate(schema) if field.name in of_pandas or UNNAMED.fullmatch(field.name)]
     fields = {}

@@ -76,9 +76,9 @@ class Factors:
         for section, names in (("set", file.set), ("vary", file.vary)):
             for name in names:
                 component, _, variable = name.partition(".")
-                is_variable = section == "vary" and component in scenario.scenario.components
+                is_variable = component in scenario.scenario.components
                 path = ("components", component, "start", variable) if is_variable else tuple(keys_of(name.strip()))
-                if path in paths and name != "seed":  # with `count`, seeds start at the seed in `set`
+                if path in paths and not (name == "seed" and file.vary[name].count):  # they start at the seed in `set`
                     text = f'{name} and "{paths[path]}" give the same value; remove one of them'
                     self._note((section, name), text, key=True)
                 paths[path] = name
@@ -116,8 +116,15 @@ class Factors:
         variables = {} if block is None else {v.name: v for v in block.description.modelVariables}
         variable = variables.get(variable_name)
         if block is None or variable is None or not settable(variable) or variable.shape:
-            hint = did_you_mean(variable_name, variables)
-            text = f"{name} takes no number{hint}; vary a parameter, a start value or a path of the scenario"
+            if block is None:
+                text = f"{component} is not an FMU; give a path of the scenario, such as components.{name}"
+            elif variable is None:
+                text = f'{component} has no variable "{short(variable_name)}"{did_you_mean(variable_name, variables)}'
+            else:
+                reason = (
+                    "is an array" if variable.shape else f"cannot be set, since it is of causality {variable.causality}"
+                )
+                text = f"{name} {reason}; vary a parameter or a start value"
             self._note(("vary", name), text, key=True)
             return None
         if variable_name in block.connected:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import ast
 import dataclasses
 import math
+import re
 import sys
 import traceback
 from collections import Counter
@@ -117,7 +118,8 @@ def _form_faults(kind: type[Model]) -> Faults:
             if get_origin(hint) is not ClassVar:
                 continue
             (form,) = get_args(hint)
-            cure = f"of type {form}; a tuple of one element has a comma too"
+            type_name = re.sub(r"<class '|'>|(\w+\.)+", "", str(form))  # without modules
+            cure = f"of type {type_name}; a tuple of one element has a comma too"
             if hasattr(owner, name):
                 value, strict = getattr(owner, name), ConfigDict(strict=True, arbitrary_types_allowed=True)
                 try:

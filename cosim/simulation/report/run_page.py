@@ -56,7 +56,7 @@ CRITERION_NAMES = {"peak": "largest magnitude"}  # of kinds, others are shown as
 
 @far_beyond
 def write_report(path: Path, results: Results, manifest: Mapping[str, Any]) -> None:
-    """Write one self-contained HTML page about a run; `manifest` may lack any of its keys."""
+    """Write one self-contained HTML page about a run; `manifest` may lack any top-level key."""
     with showing(manifest):
         write_text(path, _page(drawable_run(results, manifest)))
 
