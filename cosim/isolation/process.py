@@ -76,11 +76,6 @@ class Worker:
 
     progress: Progress  # also valid after the process has ended
 
-    @property
-    def progress_file(self) -> Path:
-        """Return the file with the progress, whose first value is the number of completed rows."""
-        return self._scratch.path / PROGRESS
-
     def start(self) -> None:
         """Start the process ahead of the first job."""
         if not self.running:
@@ -92,7 +87,7 @@ class Worker:
             self.end()
             self._scratch: ScratchFolder = scratch(WORKER_FOLDER_PREFIX)
         try:
-            self.progress = mapped_progress(self.progress_file)
+            self.progress = mapped_progress(self._scratch.path / PROGRESS)
             # A fork has all imported modules, but a lock that another thread holds would never be released in it. For
             # the Linux kernel, the thread that starts a process is the parent, and the worker ends with this thread.
             is_alone = sys.platform.startswith("linux") and int(psutil.Process().num_threads()) == 1

@@ -23,6 +23,7 @@ from cosim.core.text import (
     join_names,
     percent,
     plain,
+    shown_unit,
     split_sentence,
 )
 from cosim.core.units import unit_of_rate
@@ -513,7 +514,7 @@ def shown_effects(r: Refinement, charts: Charts) -> list[dict[str, Any]]:
         if s.term is not None:
             traces.append(Trace(s.effect, factor * np.array([s.term[rows].mean() for rows in bins]), "true", x=places))
         panel = Panel(f"Missing derivative of {s.where} against {s.against.name}", unit or "1", traces)
-        over = s.against.name, display(s.against.unit)[0] or s.against.unit or "1"
+        over = s.against.name, shown_unit(s.against.unit) or "1"
         text = f"{sentence} ({counted(s.estimated.size, 'row')} of the estimation logs)."
         plot = charts.alone(panel, extent([places]) or (0.0, 1.0), over)
         shown.append({"title": s.effect or s.where, "sentence": text, "plots": [plot]})
