@@ -101,7 +101,7 @@ class ClosedLoop(OpenLoop):
         return trial_of(model, len(x_ref), command, signals, {"x_ref": x_ref, "psi_ref": psi_ref})
 
     def usual_signals(self, time: Array) -> Signals:
-        """Return the references of the manoeuvre."""
+        """Return the signals of an experiment without excitation: the references of `manoeuvre`, and no dither."""
         x, psi = np.array([manoeuvre(t) for t in time.tolist()]).T
         return {a.name: np.zeros(len(time)) for a in self.axes} | {"x_ref": x, "psi_ref": psi}
 

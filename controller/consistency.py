@@ -198,7 +198,7 @@ def headline(rows: Sequence[ConsistencyRow]) -> str:
     """Return a headline: the number of passed tests, then the case with the largest errors if it fails."""
     passed = sum(row.result.verdict == CONSISTENT for row in rows)
     largest = max((row for row in rows if row.of == "NEES"), key=lambda row: row.result.factor)
-    text = f"{passed} of {len(rows)} tests pass: errors match the variance that the estimator claims."
+    text = f"In {passed} of {len(rows)} tests, the errors match the variance that the estimator claims."
     if (factor := largest.result.factor) > 1.0 and largest.result.verdict != CONSISTENT:
         worst = f"{largest.case}, {largest.flight}: mean square error {factor:.3g} times the claimed variance."
         text += f" Largest errors: {worst}"

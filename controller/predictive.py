@@ -204,7 +204,7 @@ class PredictiveLaw(Law):
         return tuple((self.last + self.rest).tolist()[2:])
 
     def outputs(self) -> list[float]:
-        """Return ŷ [m], its standard deviation, iterations, and 1 for solved."""
+        """Return ŷ [m], its standard deviation [m], iterations of the solver, and 1 if it found the optimum, else 0."""
         return [self.filter.estimate[5], self.filter.sigma[2], float(self.iterations), float(self.solved)]
 
     def _along_plan(self, x: Matrix, target: Matrix) -> Condensed:

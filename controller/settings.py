@@ -62,15 +62,25 @@ class Noise(Parametric):
 
     choices: ClassVar[Mapping[str, Sequence[str]]] = {}
 
-    process_variance_x: float = variance(1e-4, "m2", "process noise of x per step, eq 5.47")
-    process_variance_vx: float = variance(1e-4, "m2/s2", "process noise of vx per step, eq 5.47")
-    process_variance_psi: float = variance(2.613e-5, "rad2", "process noise of psi per step, eq 5.47")
-    process_variance_psi_dot: float = variance(4.564e-4, "rad2/s2", "process noise of psi_dot per step, eq 5.47")
-    measurement_variance_psi: float = variance(SENSOR_VARIANCE["psi"], "rad2", "measurement noise of psi, eq 5.46")
-    measurement_variance_psi_dot: float = variance(
-        SENSOR_VARIANCE["psi_dot"], "rad2/s2", "measurement noise of psi_dot, eq 5.46"
+    process_variance_x: float = variance(1e-4, "m2", "variance of the process noise of x per step (thesis, eq 5.47)")
+    process_variance_vx: float = variance(
+        1e-4, "m2/s2", "variance of the process noise of vx per step (thesis, eq 5.47)"
     )
-    measurement_variance_ax: float = variance(SENSOR_VARIANCE["ax"], "m2/s4", "measurement noise of ax, eq 5.46")
+    process_variance_psi: float = variance(
+        2.613e-5, "rad2", "variance of the process noise of psi per step (thesis, eq 5.47)"
+    )
+    process_variance_psi_dot: float = variance(
+        4.564e-4, "rad2/s2", "variance of the process noise of psi_dot per step (thesis, eq 5.47)"
+    )
+    measurement_variance_psi: float = variance(
+        SENSOR_VARIANCE["psi"], "rad2", "variance of the measurement noise of psi (thesis, eq 5.46)"
+    )
+    measurement_variance_psi_dot: float = variance(
+        SENSOR_VARIANCE["psi_dot"], "rad2/s2", "variance of the measurement noise of psi_dot (thesis, eq 5.46)"
+    )
+    measurement_variance_ax: float = variance(
+        SENSOR_VARIANCE["ax"], "m2/s4", "variance of the measurement noise of ax (thesis, eq 5.46)"
+    )
     measurement_variance_x: float = variance(1e-4, "m2", "noise of a fix of x; the thesis has no fixes, §7.1")
     fix_latency: float = bounded(0.0, "s", (0, 1), "age of a fix when it arrives, §7.1")
     sample_time: float = bounded(0.02, "s", (1e-4, 1), "sample time, Fig 4.8")

@@ -128,8 +128,8 @@ def pole_faults(poles: Sequence[complex]) -> Iterator[tuple[int, str]]:
             if a.real >= 0.0:
                 yield first + k, f"{pole} rad/s is not stable; the real part of a pole must be below 0"
             elif a.real > -MIN_DECAY:
-                text = f"{pole} rad/s is too slow: so close to 0 it cannot be distinguished from an unstable pole"
-                yield first + k, f"{text}; use at most -{MIN_DECAY:g} rad/s"
+                text = f"{pole} rad/s is so close to 0 that it cannot be distinguished from an unstable pole"
+                yield first + k, f"{text}; make its real part -{MIN_DECAY:g} rad/s or more negative"
             if any(abs(a - b) <= SAME_POLE * abs(a) for b in of[:k]):
                 yield first + k, f"{pole} occurs twice in the {axis} axis; with one input, poles must be distinct"
             if a.imag and not any(abs(a.conjugate() - b) <= SAME_POLE * abs(a) for b in of):

@@ -178,7 +178,7 @@ class SampledSlave(Slave):
         self.set_outputs(self.running.outputs())
 
     def snapshot(self) -> Any:
-        """Return estimate, covariance, last command and last fix."""
+        """Return the complete state of the running controller or filter, from which `restore` continues exactly."""
         return self.running.snapshot()
 
     def restore(self, snapshot: Any) -> None:

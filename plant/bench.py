@@ -102,17 +102,27 @@ class Bench(Model):
     )
     servo_speed: float = bounded(math.radians(60) / 0.14, "rad/s", (0.1, 100), "fastest tilt, 0.14 s for 60°, App. B.2")
     z_zero: float = parameter(3.25, unit="V", doc="vertical cell without load; 3.3 V, the rail, in Table C.1")
-    z_slope: float = parameter(-0.853, unit="V/N", doc="vertical cell, linear, Table C.1")
-    z_square: float = parameter(-0.1107, unit="V/N2", doc="vertical cell, quadratic: 0 V at 285 gf as in Table C.1")
-    z_cube: float = parameter(0.0, unit="V/N3", doc="vertical cell, cubic")
-    x_zero: float = parameter(2.43, unit="V", doc="horizontal cell without load, Table C.1")
-    x_slope: float = parameter(-0.5602, unit="V/N", doc="horizontal cell, linear, Table C.1")
-    x_square: float = parameter(-0.0021, unit="V/N2", doc="horizontal cell, quadratic, Table C.1")
-    x_cube: float = parameter(0.0, unit="V/N3", doc="horizontal cell, cubic")
-    m_zero: float = parameter(1.718, unit="V", doc="cell of the torquemeter without load, Table C.2")
-    m_slope: float = parameter(-48.32, unit="V/N.m", doc="cell of the torquemeter, linear, Table C.2")
-    m_square: float = parameter(232.0, unit="V/N2.m2", doc="cell of the torquemeter, quadratic, Table C.2")
-    m_cube: float = parameter(7630.0, unit="V/N3.m3", doc="cell of the torquemeter, cubic, Table C.2")
+    z_slope: float = parameter(-0.853, unit="V/N", doc="linear coefficient of the vertical cell (thesis, Table C.1)")
+    z_square: float = parameter(
+        -0.1107, unit="V/N2", doc="quadratic coefficient of the vertical cell: 0 V at 285 gf as in Table C.1"
+    )
+    z_cube: float = parameter(0.0, unit="V/N3", doc="cubic coefficient of the vertical cell")
+    x_zero: float = parameter(2.43, unit="V", doc="horizontal cell without load (thesis, Table C.1)")
+    x_slope: float = parameter(-0.5602, unit="V/N", doc="linear coefficient of the horizontal cell (thesis, Table C.1)")
+    x_square: float = parameter(
+        -0.0021, unit="V/N2", doc="quadratic coefficient of the horizontal cell (thesis, Table C.1)"
+    )
+    x_cube: float = parameter(0.0, unit="V/N3", doc="cubic coefficient of the horizontal cell")
+    m_zero: float = parameter(1.718, unit="V", doc="cell of the torquemeter without load (thesis, Table C.2)")
+    m_slope: float = parameter(
+        -48.32, unit="V/N.m", doc="linear coefficient of the cell of the torquemeter (thesis, Table C.2)"
+    )
+    m_square: float = parameter(
+        232.0, unit="V/N2.m2", doc="quadratic coefficient of the cell of the torquemeter (thesis, Table C.2)"
+    )
+    m_cube: float = parameter(
+        7630.0, unit="V/N3.m3", doc="cubic coefficient of the cell of the torquemeter (thesis, Table C.2)"
+    )
     converter_range: float = bounded(3.3, "V", (0.1, 100), "largest voltage converted, §3.4")
     converter_levels: float = bounded(4095.0, "1", (1, 1e9), "steps of the converter: 12 bit, §3.4")
     filter_time: float = bounded(0.0, "s", (0, 10), "time constant of the low pass, App. D.2; 0 = off")

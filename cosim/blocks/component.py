@@ -144,7 +144,7 @@ class Component:
         """Return the state as JSON types and bytes; None if this is impossible."""
 
     def restore(self, state: Any) -> None:
-        """Restore a state that another process has saved, after initialization."""
+        """Restore a state from `checkpoint`, perhaps of another process; called after initialization."""
 
 
 def in_turn(

@@ -51,7 +51,7 @@ class ProfileFunction:
     """Function from a time [s] to the value of a profile. A change that begins during a ramp interrupts the ramp.
 
     Args:
-        step: Communication step [s], by which equal times are recognized.
+        step: Communication step [s]; times that differ by much less count as equal.
     """
 
     def __init__(self, profile: Profile, factor: float = 1.0, step: float = 0.0) -> None:

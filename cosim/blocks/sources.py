@@ -114,7 +114,7 @@ def reference(name: str, profiles: Mapping[str, Profile], step: float = 0.0) -> 
     """Return a source of reference signals that follow profiles; degrees become radians.
 
     Args:
-        step: Communication step [s], by which equal times are recognized.
+        step: Communication step [s]; times that differ by much less count as equal.
     """
     signals = {}
     for signal, profile in profiles.items():
@@ -142,7 +142,7 @@ def playback(
             numeric are ignored.
         exact: Column → FMI type of the connected input, if doubles cannot represent its values exactly: text, 64-bit
             integers.
-        step: Communication step [s], by which equal times are recognized.
+        step: Communication step [s]; times that differ by much less count as equal.
         linear: Interpolate linearly between rows, instead of holding values.
 
     Raises:
@@ -194,7 +194,7 @@ class Recorded:
     Rows with equal times are a jump; the last of these values applies from this time on.
 
     Attributes:
-        step: Communication step [s], by which equal times are recognized.
+        step: Communication step [s]; times that differ by much less count as equal.
         is_linear: True if values are interpolated linearly between rows.
     """
 

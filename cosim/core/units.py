@@ -320,7 +320,7 @@ def computed_in(displayed: str) -> tuple[str, float]:
 def alternatives(wanted: str) -> list[str]:
     """Return units convertible to `wanted`, which comes first.
 
-    Only the first symbol of the unit varies, e.g. `mm/s2` for `m/s2`.
+    Only the first symbol of the unit varies, e.g. `mm/s2` for `m/s2`; `g` is added for accelerations.
     """
     head = re.match(r"[A-Za-z%°µΩ]+", wanted)
     units = [wanted]

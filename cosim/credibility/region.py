@@ -59,9 +59,10 @@ class Region(BaseModel):
     """Region of inputs, outputs and rates that logs cover.
 
     step: time over which a rate is computed, the step of the logs [s]
+    coordinates: signals and rates that span the region, each with its scale
     left_out: signal or rate that is not a coordinate → reason
-    threshold: distance, in scales, above which a point is outside
-    points: points of the logs; each coordinate is the distance from `low` in scales
+    threshold: a state of the FMU is outside if its distance to the nearest point is larger
+    points: states of the FMU in the logs; a coordinate of a point is (value − low)/scale
     reason: reason why there is no region; empty if there is one
     """
 

@@ -337,9 +337,9 @@ def _end_of_plateau(problem: Problem, f: Fit, x: Free, limit: float) -> float:
 def expected_values(f: Fit, besides: str = "") -> dict[str, tuple[float, float]]:
     """Return (mean over groups, spread for a new group) of each parameter with a value per group of logs.
 
-    For estimates θ̂ of n groups with scatter s, the spread is t·s·√(1 + 1/n), with Student's t for few groups (95 % of
-    both distributions agree); s is at least the uncertainty of the estimates. A single group has the spread of the
-    prior.
+    For estimates θ̂ of n groups with standard deviation s, the spread is t·s·√(1 + 1/n); t scales the normal
+    distribution so that its 95 % interval is that of Student's t with n − 1 degrees of freedom. s is at least the
+    uncertainty of the estimates. A single group has the spread of the prior.
 
     Args:
         besides: Group of logs to ignore.

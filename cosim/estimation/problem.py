@@ -226,7 +226,10 @@ class Problem:
 
     @property
     def plain(self) -> Noise:
-        """Return the usual noise: unknown inputs at a detectable level, at the smallest if equations are trusted."""
+        """Return the noise with which fits begin.
+
+        Each unknown input has the smallest level that is detectable; with trusted equations, its lower limit.
+        """
         return self.at(self.noise.smallest if self.trusted else self.noise.plain)
 
     @cached_property

@@ -92,7 +92,10 @@ class Excitation:
 
     @property
     def sentences(self) -> list[str]:
-        """Return sentences on the hardest pairs, of which excitation.yaml lists all, and on the excursions."""
+        """Return lines on the pairs of rivals that are hardest to separate, and a line on the ranges of the outputs.
+
+        excitation.yaml lists all pairs.
+        """
         units = {q.name: q.unit for q in self.question.loaded.model.outputs}
         names = [n for n in units if n in self.question.limits] or self.question.measured
         outputs = self.trial.outputs

@@ -167,11 +167,12 @@ def clip(values: Array, name: str, ranges: Ranges) -> Array:
 def trial_of(
     model: Model, count: int, command: Callable[[int, Values], Values], signals: Signals, references: dict[str, Array]
 ) -> Trial:
-    """Simulate a model over `count` rows.
+    """Simulate a model over `count` rows; rows after a divergence are NaN.
 
     Args:
         command: Function from (row index, outputs) to the inputs.
-        signals, references: Axis signals and references of the loop, stored in the trial.
+        signals: Signals of the excitation, one for each axis; they are only stored in the trial.
+        references: References of the loop, also only stored.
     """
     stepper = Stepper(model)
     moment, u = stepper.start(), model.start_command()

@@ -221,8 +221,9 @@ def other_version(file: Path, record: Mapping[str, Any]) -> tuple[str, ...]:
     """Return a warning or note if another version of cosim wrote a record."""
     schema, by = record.get("schema_version", SCHEMA_VERSION), str(record.get("cosim_version", ""))
     if schema != SCHEMA_VERSION:
-        known = f"this version reads {SCHEMA_VERSION} and ignores new or changed keys"
-        return (f"{file} has the schema version {schema}, written by cosim {by or '?'}; {known}",)
+        known = f"this cosim reads schema version {SCHEMA_VERSION}, and ignores new or changed keys"
+        cure = f"; to read them, use cosim {by}" if by else ""
+        return (f"{file} has schema version {schema}, and {known}{cure}",)
     return () if by in {"", __version__} else (Note(f"{file} was written by cosim {by}, and this is {__version__}"),)
 
 

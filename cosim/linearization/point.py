@@ -149,7 +149,8 @@ def points_along(
             output = source.outputs[worst]
             size = f"{difference[worst]:.3g} {source.units.get(output, '')}".rstrip()
             notes.append(
-                f"{name} of the scenario differs from this model: with the same inputs, {output} by up to {size}"
+                f"{name} of the scenario differs from this model: with the same inputs, {output} differs by up to "
+                f"{size}; linearize the model from which its FMU was built, with the same parameters"
             )
     else:
         values = _columns(results, name, source.states)

@@ -157,8 +157,9 @@ def _inputs(log: Log) -> Iterator[Finding]:
             unit = log.units[name]
             typical = amount(float(values.std()), unit, difference=True)
             least, most = (amount(size, unit) for size in (low, high))
-            at_ends = f" ({percent(share)} of the rows at a limit)" if share else ""
-            message = f"range {least} … {most}{at_ends}, {typical} rms, 95 % of its power below {bandwidth}"
+            at_ends = f" ({percent(share)} of the rows at an end of this range)" if share else ""
+            spread = f"standard deviation {typical}, 95 % of the power of its variations below {bandwidth}"
+            message = f"range {least} … {most}{at_ends}, {spread}"
             yield Finding("note", "excitation", name, message)
     if log.inputs and not moving:
         yield Finding(

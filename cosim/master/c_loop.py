@@ -191,7 +191,7 @@ class CompiledSteps:
 
     @property
     def described(self) -> str:
-        """Return a phrase on the kind of loop, with the components that Python steps."""
+        """Return `C`, or `C, but in Python: …` with the reasons why Python steps some components."""
         reasons = "; ".join(dict.fromkeys(self.in_python.values()))
         return f"C, but in Python: {reasons}" if reasons else "C"
 

@@ -386,7 +386,7 @@ def start_values(fmu: Path, texts: Sequence[str], fault: Callable[[str, str], Fa
 
 
 def hosted_drive(log: Log, fmu: Path, interpolated: frozenset[str], table: Path) -> Drive:
-    """Return a drive, in the worker process, that writes its rows into a file."""
+    """Return a `Drive` of this worker process, whose rows are written into the file `table` for the caller."""
     claim(fmu)
     drive, progress = Drive(log, fmu, interpolated=interpolated), here.progress
     here.share_log(drive.block)

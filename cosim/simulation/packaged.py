@@ -121,11 +121,11 @@ def _scenario(
     experiments, assumed = [experiment_of(part.description) for part in system.parts.values()], []
     if stop is None:
         stop = start + max((e["stop"] for e in experiments if e.get("stop", 0.0) > 0.0), default=DEFAULT_STOP_S)
-        assumed.append(("duration", f"no stopTime: {stop - start:g} s are run"))
+        assumed.append(("duration", f"no stopTime, so the run lasts {stop - start:g} s"))
     if step is None:
         step = min((e["step"] for e in experiments if e.get("step", 0.0) > 0.0), default=DEFAULT_STEP_S)
-        assumed.append(("step", f"no communication step: {step:g} s is taken"))
-    warnings += [f"the SSP names {text}; --set {k}=… for another" for k, text in assumed if k not in overrides]
+        assumed.append(("step", f"no communication step, so {step:g} s is used"))
+    warnings += [f"the SSP states {text}; to change it, use --set {k}=…" for k, text in assumed if k not in overrides]
     duration = stop - start
     if not is_whole(count := duration / step):
         duration = math.ceil(count) * step if count < 1e15 else duration

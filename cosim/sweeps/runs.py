@@ -138,7 +138,9 @@ def make_run(job: Job, request: RunRequest) -> RunResult:
         return _failed(job, request, error)
     scenario = swept.scenario
     if len(results.time) <= scenario.steps:
-        return _failed(job, request, f"it ended at t = {results.time[-1]:g} s")
+        return _failed(
+            job, request, f"an FMU ended the simulation at t = {results.time[-1]:g} s, before the end of the run"
+        )
     validity = validities((stage.component for stage in swept.system.stages), results)
     criteria = evaluate(scenario, results, validity)
     values = [np.nan if c["value"] is None else float(c["value"]) for c in criteria]

@@ -249,6 +249,6 @@ def _check_sampling(building: Building) -> None:
             where = ("step",) if own_step is None else ("components", name, "step")
             building.note(
                 where,
-                f"step is {step:g} s; {name} is sampled at {sample:g} s ({parameter}): set "
-                f"components.{name}.start.{parameter}, or step: {sample:g}",
+                f"step is {step:g} s, but {name} is sampled at {sample:g} s (parameter {parameter}); these must be "
+                f"equal: set components.{name}.start.{parameter} to {step:g}, or step to {sample:g}",
             )

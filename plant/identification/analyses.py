@@ -136,8 +136,8 @@ def thrust_line(m: Measurement) -> Result:
     top = max(float(r.duty[m.inside(r)].max()) for r in m.recordings)
     if end < top - 1e-9:
         result.notes.append(
-            f"The vertical cell leaves its range above {end + DUTY_MARGIN:.2f} %; samples below {end:.2f} % are "
-            f"used, instead of up to {top:.2f} %. A cell with a larger range would cover the rest."
+            f"Above a duty of {end + DUTY_MARGIN:.2f} %, the vertical cell is out of range, so only samples with a "
+            f"duty below {end:.2f} % are used; the runs reach {top:.2f} %. A cell with a larger range would cover them."
         )
     if degree > 1:
         result.warnings.append(
@@ -411,7 +411,11 @@ def _smoothed(values: Array, rows: int, width: float) -> Array:
 
 
 def after_step(m: Measurement, *, thrust: bool = False) -> Result:
-    """Return τ from a fit of F_x(t) (of the thrust with `thrust`), and by 63 %, rise time and slope (§4.3.4)."""
+    """Return the time constant τ after a step of the command, fitted to the horizontal force, or to the thrust.
+
+    For comparison, the result also has τ by the methods of the thesis (§4.3.4): from the time to 63 %, from the rise
+    time divided by 2.2, and from the initial slope.
+    """
     channel, name, title = ("z", "lag_of_thrust", "thrust") if thrust else ("x", "lag", "horizontal force")
     at, window, axes = m.test.at, (m.test.at - BEFORE, m.test.window[1]), ("time after the step [s]", "gf")
 
@@ -518,9 +522,10 @@ def after_sines(m: Measurement) -> Result:
     rows = np.arange(-(SMOOTHED_ROWS // 2), SMOOTHED_ROWS // 2 + 1)
     gain = float(np.mean(np.cos(frequencies[-1] * m.recordings[0].step * rows)))
     result.notes.append(
-        f"The mean of nine rows reduces the thesis' points by {-DECIBEL * np.log10(abs(gain)):.2f} dB at "
-        f"{frequencies[-1]:g} rad/s. Our points are compared with the bench equations under the same commands: hold, "
-        "dead band, sine of the angle."
+        f"The thesis smooths the force over nine rows, which reduces its amplitudes by "
+        f"{-DECIBEL * np.log10(abs(gain)):.2f} dB at {frequencies[-1]:g} rad/s. The amplitudes here are compared with "
+        "a simulation of the bench under the same commands, with the hold of the command, the dead band of the servo "
+        "and the sine of the tilt angle."
     )
     grid = np.geomspace(frequencies.min(), frequencies.max() * 1.5, 80)
     response = 1.0 / (1.0 + 1j * tau * grid)

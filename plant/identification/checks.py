@@ -203,8 +203,9 @@ def result_faults(protocol: Protocol, results: Sequence[Result]) -> Iterator[Fau
                 low, high = LAGS[0] * 1.001, LAGS[-1] / 1.001
             else:
                 low, high = RESULT_RANGE if "projection" in e.name else protocol.bench.declared[e.name].bounds
-            possible = f"{low:.4g} to {high:.4g} {e.unit} is possible"
-            text = f"{e.name} is {e.value:.4g} (95 % {e.low:.4g} … {e.high:.4g}), and {possible}"
+            possible = f"{low:.4g} to {high:.4g} {e.unit}"
+            interval = f"95 % interval {e.low:.4g} … {e.high:.4g}"
+            text = f"{e.name} is {e.value:.4g} {e.unit} ({interval}), outside the possible range {possible}"
             if not (low <= e.value <= high and np.isfinite([e.low, e.high]).all()):
-                cure = "check the units and points of the cells, and look for a deviating run"
+                cure = "check the units and calibration points of the cells, and look for a deviating run"
                 yield protocol.yaml.fault(("tests", result.test), f"{text}; {cure}", key=True)

@@ -239,13 +239,13 @@ class ProtocolFile(Part):
 
     schema_version: 1
     name:       Name of the results.
-    bench:      `bench`, which is simulated; by default tests need files.
-    model:      Model whose parameters powertrain.yaml sets.
+    bench:      `bench`: tests without a file are simulated. Without this key, every test needs a file.
+    model:      Model for which powertrain.yaml, the file of results, has parameters.
     seed:       Seed of every random stream.
     step:       Time between rows [s].
     parameters: Parameters of the bench that differ from its defaults.
     draws:      Variation between runs.
-    cells:      z, x, m: load cells of both forces and the moment.
+    cells:      Load cells of the vertical force (z), the horizontal force (x) and the moment (m).
     tests:      Tests to execute.
     """
 

@@ -162,7 +162,10 @@ class RemoteLibraryKernel:
     def simulate_from(
         self, data: Data, p: Array, points: tuple[Sequence[int], Any, Any], length: int
     ) -> list[Simulated]:
-        """Simulate a log from each of some rows, as `Problem.simulate_from`."""
+        """Simulate `length` rows of a log from each start row in `points` (rows, states, memories).
+
+        `Problem.simulate_from` describes the arguments.
+        """
         each = [tuple(part[k : k + 1] for part in points) for k in range(len(points[0]))]
         runs = self.call_all("simulate_from", [(data, p, point, length) for point in each])
         return [*chain.from_iterable(runs)]

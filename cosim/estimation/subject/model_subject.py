@@ -164,7 +164,10 @@ def new_fmu(folder: Path) -> Path:
 
 
 def neutral_values(model: Model) -> dict[str, float]:
-    """Return the value of every kernel parameter: the model's values, absent effects and sensor errors at neutral."""
+    """Return name → value of all parameters of the filter, which are numbers, not Booleans.
+
+    Effects and sensor errors that the model lacks have their neutral values, at which they have no effect.
+    """
     own = {p.name: getattr(model, p.name) for p in model.parameters}
     own |= {f"{e.name}.{p.name}": getattr(e, p.name) for e in model.effects for p in parameters_of(e)}
     declared = model.declared | model.sensor_parameters

@@ -67,8 +67,9 @@ def check(model: Model, printer: ModelPrinter) -> None:
                 continue
             for (quantity, hook, value), other in zip(python, generated, strict=True):
                 if math.isfinite(value) and not abs(value - other) <= PEER_TOLERANCE * max(1.0, abs(value)):
-                    case = [", ".join(sorted(names)) or "no effect", *(n for n, on in switches.items() if on)]
-                    text = f"{quantity} is {value:.9g} in Python and {other:.9g} in C, active: {', '.join(case)}"
+                    active = ", ".join([*sorted(names), *(n for n, on in switches.items() if on)]) or "no effect"
+                    both = f"{value:.9g} in Python, {other:.9g} in the generated C code"
+                    text = f"{quantity} differs: {both} (active: {active})"
                     if len(awake) == 1:
                         raise UnprintableModel(text, awake[0], "" if hook == "equations" else hook, CURE)
                     raise UnprintableModel(text, type(model), "equations", CURE)

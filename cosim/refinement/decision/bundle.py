@@ -416,10 +416,13 @@ def noise_gains(problem: Problem, f: Fit) -> list[float]:
 
 
 def fit_given_model(problem: Problem, base: Fit, left_out: int | None = None) -> Fit:
-    """Return the given model with fitted unknown inputs and parameters per log.
+    """Return a fit of the given model: only unknown inputs, and parameters with a value per log, are fitted.
 
-    Parameters per log are fitted to all logs, or all but `left_out`. The noise must be fitted again: with the noise of
-    the recalibrated model, the filter would not follow the measurements.
+    The other parameters keep their values. The noise of `base`, whose parameters were adjusted, would be too small: the
+    filter would not follow the measurements.
+
+    Args:
+        left_out: Log that the fit does not use.
     """
     others = [k for k in range(len(problem.logs)) if k != left_out]
     fixed = fit(problem, (), problem.values, base.noise, others, SCREEN_ITERATIONS, sensing=False)

@@ -266,7 +266,7 @@ def _misfit_text(c: Claims) -> str:
     place, width = amount(shape.place, shape.unit), amount(shape.width, shape.unit, 2)
     by = f", times {shape.factor}" if shape.factor else ""
     if shape.kind == "spline":
-        return f"{text} follows {signal}{by}, but no simple law"
+        return f"{text} depends on {signal}{by}, but not as a step, a wave or another simple function"
     if shape.kind == "step" and abs(shape.place) < shape.width:
         like = ", as dry friction would" if shape.unit in {"m/s", "rad/s"} and not by else ""
         return f"{text} follows the sign of {signal}{by}{like}"

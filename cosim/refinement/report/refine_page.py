@@ -504,7 +504,10 @@ def shown_effects(r: Refinement, charts: Charts) -> list[dict[str, Any]]:
     shown = []
     for s in compare_effects(r):
         where, (unit, factor), x = f"missing derivative of {s.where}", display(s.unit), s.against.values
-        sentence = f"The {where} is drawn against {s.against.name}, which it follows most"
+        sentence = (
+            f"The part of the derivative of {s.where} that the model lacks, over {s.against.name}, the signal on which "
+            "it depends most"
+        )
         if s.term is not None:
             sentence = f"{s.effect} explains {percent(s.share)} of the mean square of the {where} in single rows"
         bins = _bins(x)
