@@ -68,7 +68,7 @@ def _complex(value: Any) -> Any:
     """Return a real number, or the complex number in a text; raise ValueError for other values."""
     try:
         number = complex(value.replace(" ", "").replace("i", "j") if isinstance(value, str) else value)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         number = complex("nan")
     if isinstance(value, bool) or not (math.isfinite(number.real) and math.isfinite(number.imag)):
         raise ValueError(f"{value!r} is not a number; write a complex pole like -4+1j")
@@ -194,11 +194,12 @@ def _judged(p: Settings, options: Mapping[str, Any], name: str, K: Matrix) -> tu
     for mode in worst_modes(modes):
         place, pole = _place_of(mode.axis, options, name), mode.pole
         shown = f"{pole.real:.3g}±{abs(pole.imag):.3g}j" if pole.imag else f"{pole.real:.3g}"
-        loop = f"with a lag of {p.lag:g} s and {p.estimator}, the sampled {mode.axis} axis has a pole at {shown} rad/s"
+        about = f"(lag {p.lag:g} s, estimator {p.estimator})"
+        loop = f"the sampled loop of the {mode.axis} axis {about} has a pole at {shown} rad/s"
         if mode.grows:
             objections.setdefault(place, f"is unstable: {loop}; {cure}")
         else:
-            warnings.setdefault(place, f"{loop} with the small damping ratio {mode.damping:.2g}; {cure}")
+            warnings.setdefault(place, f"{loop}, with a damping ratio of only {mode.damping:.2g}; {cure}")
     return objections, warnings
 
 

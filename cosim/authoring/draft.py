@@ -272,9 +272,9 @@ def scenario_text(
     lines += [
         f"name: {'_'.join(dict.fromkeys(p.name for p in parts))[:60]}",
         f"duration: {times.duration:.12g} # s: {times.why_duration}",
-        f"step: {_whole(times.step)} # s: {times.why_step}",
+        f"step: {_exact_text(times.step)} # s: {times.why_step}",
     ]
-    lines += [f"start_time: {_whole(times.start)} # s"] if times.start else []
+    lines += [f"start_time: {_exact_text(times.start)} # s"] if times.start else []
     if algorithm is not DEFAULT:
         lines.append(
             f"algorithm: {algorithm.name} # because of an algebraic loop between the FMUs; or set `order: [...]`"
@@ -298,7 +298,7 @@ def scenario_text(
     return "\n".join(lines) + "\n"
 
 
-def _whole(value: float) -> str:
+def _exact_text(value: float) -> str:
     """Return a number as text with enough digits to read back the same value."""
     return short if float(short := f"{value:.12g}") == value else repr(float(value))
 
@@ -309,7 +309,7 @@ def _component(folder: Path, part: DraftPart, times: Times) -> Iterator[str]:
     yield f"  {part.name}: # {_comment(about)}"
     yield f"    fmu: {scalar(relative(part.path, folder))}"
     if part.name in times.own:
-        yield f"    step: {times.own[part.name]:.12g} # s: the only accepted step"
+        yield f"    step: {_exact_text(times.own[part.name])} # s: the only accepted step"
     parameters = [v for v in d.modelVariables if v.causality == "parameter" and settable(v) and not v.shape]
     if part.start:
         yield "    start:"

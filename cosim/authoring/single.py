@@ -110,7 +110,7 @@ def simulate(
             begin, last = float(time[0]), float(time[-1])
             first = begin if first is None else max(first, begin)
             source, end = csv, last if stop is None else stop
-            if first > begin or end > last * (1 + STEP_COUNT_TOLERANCE):
+            if first > begin or end - last > STEP_COUNT_TOLERANCE * abs(last):
                 text_ = f"{csv.name} covers {begin:g} … {last:g} s, the run {first:g} … {end:g} s"
                 kept = f"; after {last:g} s, each input keeps its last value in the file" if end > last else ""
                 notes.append(Note(text_ + kept))

@@ -20,6 +20,7 @@ SCREENING_STEPS = (0.01, 0.1)  # relative steps of a screened parameter
 ROUNDING_CHANGE = 1e-9  # change of every output, relative to its standard deviation, below which it is rounding
 MIN_NOISE_LEVEL = 5e-3  # minimum noise level for a choice, relative to the standard deviation: models are not perfect
 MAX_HALF_WIDTH = 0.5  # largest half-width of the expected interval of a parameter to estimate, relative to its value
+IMITATOR_SHARE = 0.3  # of the largest part in a reproduced sensitivity, from which a parameter is named
 MIN_OWN_SHARE = 0.03  # share of a sensitivity not reproduced by other parameters; differences are accurate to a third
 SUSPECT_SINGULAR_VALUE = 0.02  # singular value relative to the largest, below which a combination is tried
 TRIED_STEP = 0.1  # relative step of a combination that is tried
@@ -59,11 +60,12 @@ def screen(likelihood: Likelihood) -> tuple[list[ChoiceEntry], Flags]:
         names.append(unknown.name)
         columns.append(next((moved / change for change, moved in tried.items()), np.zeros(shares.size)))
         effects.append(float(np.linalg.norm(tried[SCREENING_STEPS[1]])) if SCREENING_STEPS[1] in tried else math.nan)
-        reasons.append("" if largest > ROUNDING_CHANGE else "no effect on any measured output")
+        none = "no effect on any measured output" if tried else "the FMU fails with each changed value"
+        reasons.append("" if largest > ROUNDING_CHANGE else none)
     matrix = np.column_stack(columns)
     starts = np.column_stack(nuisance) if nuisance else np.zeros((matrix.shape[0], 0))
     sizes, matrix = np.linalg.norm(matrix, axis=0), _without(matrix, starts)
-    chosen, rest, least = list[int](), matrix.copy(), 1.96 / MAX_HALF_WIDTH
+    chosen, rest, least = list[int](), matrix.copy(), NORMAL_95 / MAX_HALF_WIDTH
     while True:  # pivoted QR, in which only chosen columns take part
         left = np.linalg.norm(rest, axis=0)
         fits = [
@@ -71,21 +73,23 @@ def screen(likelihood: Likelihood) -> tuple[list[ChoiceEntry], Flags]:
         ]
         if not fits:
             break
-        best = max(fits, key=lambda i: (round(math.log10(left[i]), 3), -i))
+        best = max(fits, key=lambda i: (round(math.log10(left[i]), 3), -i))  # the first of nearly equal ones
         chosen.append(best)
-        reasons[best] = f"its interval is at best ± {plain(196.0 / left[best], 2)} % of its value"
+        reasons[best] = f"its interval is at best ± {plain(100.0 * NORMAL_95 / left[best], 2)} % of its value"
         direction = rest[:, best] / left[best]
         rest = rest - np.outer(direction, direction @ rest)
     for i in (i for i, reason in enumerate(reasons) if not reason):
         if chosen and np.linalg.norm(matrix[:, i]) >= least:
             weights = least_squares(matrix[:, chosen], matrix[:, i])
             parts = np.abs(weights) * np.linalg.norm(matrix[:, chosen], axis=0)
-            imitators = [names[c] for c, part in zip(chosen, parts, strict=True) if part > 0.3 * np.max(parts)]
+            imitators = [
+                names[c] for c, part in zip(chosen, parts, strict=True) if part > IMITATOR_SHARE * np.max(parts)
+            ]
             reasons[i] = f"not distinguishable from {join_names(imitators)}"
         elif sizes[i] >= least:
             reasons[i] = "not distinguishable from start values of the logs"
         else:
-            at_best = plain(196.0 / max(float(sizes[i]), 1e-12), 2)
+            at_best = plain(100.0 * NORMAL_95 / max(float(sizes[i]), 1e-12), 2)
             reasons[i] = f"its effect is within the noise: at best ± {at_best} % of its value"
     choices = [
         ChoiceEntry(name=n, effect=finite(e), estimated=i in chosen, reason=reasons[i])
@@ -179,6 +183,7 @@ def find_combination(likelihood: Likelihood) -> tuple[CombinationEntry | None, A
 
 BLOCKS = 8  # blocks of time of all logs, of which each is long compared with the correlation of residuals
 OMITTED_SHARE = 0.9  # of the weight of a block; the rest keeps start values determined that only this block shows
+FIRST_PROFILE_STEP = 0.6  # in half-widths of the interval
 PROFILE_DOUBLINGS = 6  # of the distance from the estimate at which the end of a profile is searched
 PROFILE_END_TOLERANCE = 0.005  # tolerance of the end of a profile's interval, in half-widths
 
@@ -254,9 +259,12 @@ def profile(likelihood: Likelihood, spread: Covariance, j: int) -> ProfileEntry 
         return math.sqrt(deviances[value]) - NORMAL_95
 
     def end(side: float) -> float | None:
-        """Return the end of the interval below or above the estimate; None if the deviance stays small."""
+        """Return the end of the interval below or above the estimate.
+
+        None: the deviance stays below 1.96² up to the bound or the last step, or the FMU fails.
+        """
         inside = centre
-        for step in 0.6 * half * 2.0 ** np.arange(PROFILE_DOUBLINGS):
+        for step in FIRST_PROFILE_STEP * half * 2.0 ** np.arange(PROFILE_DOUBLINGS):
             outside = min(max(centre + side * float(step), float(likelihood.low[j])), float(likelihood.high[j]))
             if excess(outside) >= 0.0:
                 if not math.isfinite(excess(outside)):

@@ -175,7 +175,9 @@ class Likelihood:
         return point
 
     def restricted(self, kept: Flags, at: float | None = None) -> Likelihood:
-        """Return the likelihood as a function of some unknowns; the others are fixed, without their priors.
+        """Return the likelihood as a function of some unknowns.
+
+        Other shared unknowns are fixed, and unknowns of single logs have the values of the FMU, both without priors.
 
         Args:
             kept: True for each unknown that remains.
@@ -250,6 +252,7 @@ class Likelihood:
             return np.concatenate([*errors, roots * (point.x - self.prior)])
 
         def slopes(x: Array) -> Array:
+            """Return the Jacobian of `misses` at the best point; after a small gain the last one, to save runs."""
             nonlocal before, latest
             report(next(iterations))
             if before.cost - self.best.cost > SETTLED_GAIN:

@@ -321,7 +321,7 @@ def compare_runs(a: RecordedRun, b: RecordedRun, tolerance: float | None = None,
         unit, other, by = of_a.units.get(name, ""), of_b.units.get(name, ""), unit_conversion(b, a, name)
         if by is None:
             note, far = (
-                f"in {unit or '1'} in one run and in {other or '1'} in the other, which cannot be converted",
+                f"{unit or '1'} in one run, {other or '1'} in the other: these units cannot be converted",
                 math.inf,
             )
             sizes = far, float(time[0]), far, 1.0, far

@@ -61,8 +61,8 @@ class Region(BaseModel):
     step: time over which a rate is computed, the step of the logs [s]
     coordinates: signals and rates that span the region, each with its scale
     left_out: signal or rate that is not a coordinate → reason
-    threshold: a state of the FMU is outside if its distance to the nearest point is larger
-    points: states of the FMU in the logs; a coordinate of a point is (value − low)/scale
+    threshold: a sample is outside if its distance to the nearest point is larger
+    points: samples of the logs; a coordinate of a point is (value − low)/scale
     reason: reason why there is no region; empty if there is one
     """
 
@@ -117,7 +117,7 @@ class Distances:
 
     @property
     def inside(self) -> Flags:
-        """Return True for the rows in the region."""
+        """Return True for the rows in the region, and for those that cannot be judged, as at the start of a window."""
         return ~(self.ratio > 1.0)
 
 

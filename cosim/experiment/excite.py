@@ -32,7 +32,7 @@ from cosim.logs.log import slowness
 
 EXPERIMENTS = 48
 DURATION, SHORTEST, LONGEST = 40.0, 5.0, 600.0  # [s], for a model with a step of at most 50 ms
-MAX_RIVALS = 4  # pairs simulated for every preferred experiment; the others are simulated at the end
+MAX_RIVALS = 4  # rivals simulated for every preferred experiment; the others are simulated at the end
 EXCURSION_SHARE = 0.95  # share of the allowed excursion to which a second attempt is scaled
 SMALLER = 5  # number of times that an input is reduced for a rival that exceeds the limits
 MIN_DISTANCE = 1.0  # standard deviations below which noise hides the difference

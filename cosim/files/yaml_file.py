@@ -258,8 +258,8 @@ def _text(path: Path) -> str:
         with open_bytes(path) as stream:
             content = stream.read(MAX_YAML_BYTES + 1)
         if len(content) > MAX_YAML_BYTES:
-            limit = f"the limit of {MAX_YAML_BYTES / 1e6:.0f} MB (YAML: {MOST_YAML / 1e6:g} MB); make it shorter"
-            raise InputError.at(path, f"has {path.stat().st_size / 1e6:.0f} MB, more than {limit}")
+            limit = f"the limit of {MAX_YAML_BYTES / 1e6:g} MB (YAML: {MOST_YAML / 1e6:g} MB); make it shorter"
+            raise InputError.at(path, f"has {path.stat().st_size / 1e6:.1f} MB, more than {limit}")
         return content.decode()
     except UnicodeDecodeError:
         raise InputError.at(path, "is not UTF-8 text; save it as UTF-8") from None

@@ -30,7 +30,7 @@ from cosim.isolation import worker
 from cosim.isolation.rows import NO_CALL, OTHER, Progress, mapped_progress
 from cosim.isolation.watch import READING_PAUSE, Clock, Watch, how_ended
 from cosim.isolation.worker import (
-    ALONG,
+    FOLDERS_TO_REMOVE,
     PROGRESS,
     STREAMS_LOST,
     BadStream,
@@ -119,9 +119,9 @@ class Worker:
         """Return a folder that exists as long as the process."""
         return self._scratch.path
 
-    def take_along(self, folder: Path) -> None:
+    def remove_if_killed(self, folder: Path) -> None:
         """Register a folder that the worker removes if this process is killed."""
-        with suppress(OSError), (self._scratch.path / ALONG).open("a", encoding="utf-8") as stream:
+        with suppress(OSError), (self._scratch.path / FOLDERS_TO_REMOVE).open("a", encoding="utf-8") as stream:
             stream.write(f"{folder}\0")  # if the disk is full, the next command removes the folder
 
     @property

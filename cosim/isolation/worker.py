@@ -31,7 +31,7 @@ from cosim.isolation.rows import Progress, mapped_progress
 MESSAGE_HEAD = struct.Struct("!4sIQ")  # mark, checksum and size of a message
 MESSAGE_MARK = b"\x93csm"
 STREAMS_LOST = 121  # exit code of a worker whose streams an FMU has closed, read or changed
-PROGRESS, ALONG = "progress", "along"
+PROGRESS, FOLDERS_TO_REMOVE = "progress", "along"
 
 
 class BadStream(OSError):
@@ -161,7 +161,7 @@ def _read(requests: BinaryIO, jobs: queue.SimpleQueue[bytes], scratch: Path) -> 
     abandoned.set()  # Removal takes a while, during which another command may use the same folders.
     # The caller lists its folders in a file, since a job that names them may not have begun.
     with suppress(OSError, ValueError):
-        for line in filter(None, (scratch / ALONG).read_text(encoding="utf-8").split("\0")):
+        for line in filter(None, (scratch / FOLDERS_TO_REMOVE).read_text(encoding="utf-8").split("\0")):
             remove(Path(line))
     remove(scratch)
     if sys.platform != "win32" and os.getpgid(0) == os.getpid():

@@ -15,6 +15,7 @@ from cosim.core.arrays import Array
 MIN_COUPLING = 1e-9  # smallest nonzero entry of a matrix, relative to its largest entry
 MAX_RATE_AT_REST = 1e-6  # largest derivative at an equilibrium [state unit/s]
 POLE_TOLERANCE = 1e-6  # largest distance of equal poles, relative to the fastest pole
+AXIS_TOLERANCE = 1e-9  # real part relative to the largest pole (at least 1 rad/s) below which a pole is on the axis
 RANK_TOLERANCE = 1e-9  # largest singular value that counts as zero, relative to the largest singular value
 
 
@@ -167,7 +168,8 @@ def structure(linear: Linear) -> Structure:
 
     A, B, C = linear.A, linear.B, linear.C
     values = poles(A)
-    distance = POLE_TOLERANCE * float(np.abs(values).max(initial=0.0))
+    largest = float(np.abs(values).max(initial=0.0))
+    distance, axis = POLE_TOLERANCE * largest, AXIS_TOLERANCE * max(1.0, largest)
     groups: list[list[complex]] = []
     for value in values.tolist():
         near = next((g for g in groups if abs(np.mean(g) - value) <= max(distance, 1e-12)), None)
@@ -178,14 +180,16 @@ def structure(linear: Linear) -> Structure:
     every = []
     for group in groups:
         value = complex(np.mean(group))
-        value = complex(value.real, value.imag if abs(value.imag) >= distance else 0.0)
+        value = complex(
+            value.real if abs(value.real) > axis else 0.0, value.imag if abs(value.imag) >= distance else 0.0
+        )
         size, real = abs(value), value.real
         ratio, time = -real / size if size else math.nan, -1.0 / real if real else math.inf
         reached, shown = _is_controllable(A, B, value), _is_controllable(A.T, C.T, value)
         every.append(Pole(value, len(group), size, ratio, time, reached, shown))
     rank = controllable_rank(A, B)
     condition = float(np.linalg.cond(control.ctrb(A, B))) if rank == len(A) > 0 else float("inf")
-    stable = all(p.value.real < -distance for p in every)
+    stable = all(p.value.real < 0.0 for p in every)
     return Structure(tuple(every), rank, controllable_rank(A.T, C.T), condition, stable)
 
 

@@ -40,7 +40,6 @@ system = systems[0]
 '''
 MAX_TERMINAL_COLUMNS = 16  # of a matrix on a terminal
 MAX_OSCILLATING_DAMPING = 0.9  # damping ratio of a pole pair above which its overshoot is below 0.2 %
-AXIS_TOLERANCE = 1e-9  # largest real part [1/s] of a pole on the imaginary axis
 POLE_COLUMNS = (
     "pole [1/s]",
     "times",
@@ -141,11 +140,11 @@ def headline(structure: Structure, linear: Linear) -> str:
     elif structure.stable:
         slowest = max(structure.poles, key=lambda p: p.value.real)
         stability = f"Stable equilibrium: the slowest deviation {meaning(slowest)}"
-    elif growing := [p for p in structure.poles if p.value.real > AXIS_TOLERANCE]:
+    elif growing := [p for p in structure.poles if p.value.real > 0.0]:
         fastest = max(growing, key=lambda p: p.value.real)
         stability = f"Unstable equilibrium: the fastest deviation {meaning(fastest)}"
     else:
-        on_axis = [p for p in structure.poles if p.value.real >= -AXIS_TOLERANCE]
+        on_axis = [p for p in structure.poles if p.value.real == 0.0]
         count = counted(sum(p.count for p in on_axis), "pole")
         longest = max(on_axis, key=lambda p: p.count)
         stability = f"Not asymptotically stable: {count} on the imaginary axis; a deviation {meaning(longest)}"
@@ -160,7 +159,7 @@ def meaning(p: Pole) -> str:
         return "stays" if p.count == 1 else "is constant or grows with a power of time (integrators)"
     oscillates = imag and p.damping_ratio < MAX_OSCILLATING_DAMPING
     oscillation = f"oscillates with a period of {plain(2 * math.pi / imag)} s" if oscillates else ""
-    if abs(real) <= AXIS_TOLERANCE:
+    if not real:
         return f"{oscillation} without damping"
     time = f"{'grows' if real > 0 else 'decays'} with a time constant of {plain(1.0 / abs(real))} s"
     return f"{oscillation} and {time}" if oscillates else time

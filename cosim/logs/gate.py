@@ -13,7 +13,7 @@ from cosim.core.errors import Fault, InputError
 from cosim.core.text import amount, counted, percent, plain
 from cosim.core.units import DEGREES
 from cosim.logs.log import FULL_TURN, MISSING_ROW_STEPS, Finding, Log, Severity, name_list, noise_level
-from cosim.logs.model_comparison import fit_slope, input_unit_findings, moving_part
+from cosim.logs.model_comparison import fast_part, fit_slope, input_unit_findings
 from cosim.logs.spikes import Spikes, find_spikes, out_of_line
 from cosim.model.traits import Traits, rate_of
 
@@ -278,7 +278,7 @@ def _against_rate(log: Log, name: str, rate: str, *, declared: bool) -> Iterator
     slope = fit.slope
     severity: Severity = "fault" if declared else "warning"
     if abs(fit.correlation) < MIN_AGREEMENT:
-        moved, turned = (float(np.nanstd(moving_part(log, values))) for values in (log.outputs[name], area))
+        moved, turned = (float(np.nanstd(fast_part(log, values))) for values in (log.outputs[name], area))
         if moved > FAR_OFF * noise_level(log.outputs[name]) and turned > 0.5 * moved:
             message = (
                 f"does not follow the integral of {rate} (correlation {plain(fit.correlation, 2)}), although both "

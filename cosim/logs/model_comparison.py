@@ -121,7 +121,7 @@ def scales(log: Log, model: NamedArrays) -> Iterator[Finding]:
                 continue
             yield Finding("fault" if is_alike else "warning", "unit", name, message, numbers)
         else:  # even without correlation, a signal may be larger than its prediction by a factor between units
-            size, own = (float(np.nanstd(moving_part(log, values))) for values in (measured, model[name]))
+            size, own = (float(np.nanstd(fast_part(log, values))) for values in (measured, model[name]))
             ratio = size / own if own > 0.0 and size > MIN_SIGNAL * noise_level(measured) else 0.0
             if ratio > OTHER_SIZE and (question := other_unit(name, unit, ratio)):
                 yield Finding(
@@ -143,7 +143,7 @@ def swaps(log: Log, model: NamedArrays) -> Iterator[Finding]:
             continue
         largest = 0.0  # the largest correlation of either with its own prediction, at any delay
         for name in (one, other):
-            parts = moving_part(log, model[name]), moving_part(log, log.outputs[name])
+            parts = fast_part(log, model[name]), fast_part(log, log.outputs[name])
             largest = float(np.nanmax(np.abs(correlation_at_lags(*parts, _longest_lag(log))), initial=largest))
         if largest < least:
             text = (
@@ -177,7 +177,7 @@ class SlopeFit(NamedTuple):
 
 def fit_slope(log: Log, measured: Array, model: Array) -> SlopeFit | None:
     """Return the slope of a measured signal over its prediction; None if one of them is constant."""
-    y, x = moving_part(log, measured), moving_part(log, model)
+    y, x = fast_part(log, measured), fast_part(log, model)
     good = np.isfinite(y) & np.isfinite(x)
     y, x = y[good], x[good]
     size = float(np.linalg.norm(y)) * float(np.linalg.norm(x))
@@ -207,7 +207,7 @@ def delay(log: Log, measured: Array, model: Array) -> MeasuredDelay | None:
 
     Slow parts are removed, so that drift has no influence. A parabola refines the peak of the cross-correlation.
     """
-    fast, fast_model = moving_part(log, measured), moving_part(log, model)
+    fast, fast_model = fast_part(log, measured), fast_part(log, model)
     lags = _longest_lag(log)
     if lags < 2 or np.isfinite(fast).sum() < 8 * lags:
         return None
@@ -225,7 +225,7 @@ def delay(log: Log, measured: Array, model: Array) -> MeasuredDelay | None:
     return MeasuredDelay((k - lags + float(top)) * log.step, error, slope / size)
 
 
-def moving_part(log: Log, values: Array) -> Array:
+def fast_part(log: Log, values: Array) -> Array:
     """Return the deviation of a signal from its moving mean over SLOW_CHANGE_S seconds; NaN at both ends."""
     from scipy.ndimage import uniform_filter1d
 

@@ -31,7 +31,7 @@ from cosim.core.errors import SimulationError
 from cosim.core.times import TIME_TOLERANCE_SHARE, TIME_TOLERANCE_ULPS
 from cosim.master.initialization import EXACT_SWEEPS, is_settled
 from cosim.master.policies import Policy
-from cosim.system.events import is_exchange, takes_part_of_step
+from cosim.system.events import can_end_step_at_event, is_exchange
 from cosim.system.schedule import Stage
 from cosim.system.wiring import Copies
 
@@ -60,7 +60,7 @@ class Part:
 
     def __init__(self, master: Master, stage: Stage) -> None:
         component: Any = stage.component
-        active, takes_parts = master.actives[component.name], takes_part_of_step(stage, master.system.loops)
+        active, takes_parts = master.actives[component.name], can_end_step_at_event(stage, master.system.loops)
         self.component, self.every, self.late = component, stage.every, active.late
         self.active = active._replace(late=None, length=0.0 if takes_parts else active.length)
         first = master.first_places[0].get(component.name, 0)

@@ -206,7 +206,7 @@ def _begin_rows(
             if kept.folder is None:
                 temporary = scratch(ROWS_FOLDER_PREFIX, parent)
                 stack.callback(temporary.remove)
-                worker.take_along(temporary.path)
+                worker.remove_if_killed(temporary.path)
                 parent = temporary.path
             new = parent / f"{ROWS_FILE}.new"
             try:

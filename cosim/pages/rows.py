@@ -211,8 +211,10 @@ def open_rows(path: Path, **about: Any) -> Recording:
             (draft / VIEW_ABOUT_FILE).write_text(json.dumps(record), encoding="utf-8")
             shutil.rmtree(place, ignore_errors=True)
             with suppress(OSError):  # Another command was faster.
-                shutil.move(draft, place)
+                draft.rename(place)
     known: Any = content_of(place / VIEW_ABOUT_FILE)
+    if not known:  # the cache is not writable, or was cleared
+        return _read(path, about)
     names = [TIME_COLUMN, *known["units"]]
     numbers: Any = np.memmap(place / VIEW_ROWS_FILE, np.float64, "r").reshape(len(names), -1).view(np.ndarray)
     texts = feather.read_table(place / VIEW_TEXTS_FILE, memory_map=True) if known["texts"] else None

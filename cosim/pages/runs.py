@@ -144,7 +144,7 @@ def find_runs(
             raise InputError.at(results, "has no results with rows; run a scenario first, or give folders and tables")
         if len(found) > MAX_VIEWED:
             notes.append(f"the newest {MAX_VIEWED} of {len(found)} results are shown; to see others, give their names")
-        return _differing(found[-MAX_VIEWED:]), [*map(Note, notes)]
+        return _with_unique_names(found[-MAX_VIEWED:]), [*map(Note, notes)]
     found = []
     for text, group in zip(texts, select_groups(texts, results), strict=True):
         try:
@@ -158,7 +158,7 @@ def find_runs(
             faults += error.faults
     refuse(faults)
     unique = {(place.file.resolve(), place.name if place.rows else ""): place for place in found}
-    return _differing(list(unique.values())), [*map(Note, notes)]
+    return _with_unique_names(list(unique.values())), [*map(Note, notes)]
 
 
 def _places(selected: Selected, columns: Mapping[str, str], notes: list[str]) -> list[RunPlace]:
@@ -230,13 +230,13 @@ def _of_entry(entry: Entry, *, is_named: bool) -> RunPlace | None:
     return None if rows is None else RunPlace(name, entry.label, rows, is_named)
 
 
-def _differing(places: Sequence[RunPlace]) -> list[RunPlace]:
+def _with_unique_names(places: Sequence[RunPlace]) -> list[RunPlace]:
     """Return places with unique names and labels: duplicates get their path."""
     names, labels = [p.name for p in places], [p.label for p in places]
     return [
         replace(
             p,
-            name=p.name if names.count(p.name) == 1 else str(p.file.parent / p.name),
+            name=p.name if names.count(p.name) == 1 else str(p.file),
             label=p.label if labels.count(p.label) == 1 else f"{p.label} ({p.file})",
         )
         for p in places

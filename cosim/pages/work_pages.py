@@ -261,7 +261,7 @@ class LiveSweep(WorkPage, RunsObserver):
         super().__init__(title, port)
 
     def begin(self, title: str, count: int, limits: Sequence[CriterionLimit], earlier: Iterable[RunResult]) -> None:
-        """Prepare for the runs of a sweep, including those of an earlier call."""
+        """Prepare for the runs of a sweep; `earlier` are the results of a stopped sweep that this call resumes."""
         self._limits, self._total, self._since = limits, count, monotonic()
         self.add([*earlier])
         self._earlier = len(self._runs)

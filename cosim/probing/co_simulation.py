@@ -36,7 +36,7 @@ STEP_TIME_SHARES = (0.2, 0.5, 0.8)  # times of input steps, as shares of a cours
 PARTS_OF_STEP = 32  # size of a part of a step, in the search for lags
 MOST_GAIN = 4.0  # gain over a part relative to that over a step, beyond which the FMU makes steps of its own
 # response after two steps divided by the response after one: about 2 through one integrator, 4 through two
-MIN_DIRECT_RATIO = 2.8
+MAX_SINGLE_INTEGRATOR_RATIO = 2.8
 MIN_STORAGE_RATIO = 1.4  # minimum of this ratio for a storage; 1 without an integrator, 2 for a storage without losses
 
 
@@ -186,7 +186,9 @@ class Responses:
             response, scale = self._response(name, share, parts)
             if len(response) > 2:
                 once, twice = response[1:3, velocity]
-                if abs(once) > self.noise[velocity] and least * abs(once) < abs(twice) < MIN_DIRECT_RATIO * abs(once):
+                if abs(once) > self.noise[velocity] and least * abs(once) < abs(
+                    twice
+                ) < MAX_SINGLE_INTEGRATOR_RATIO * abs(once):
                     gains.append(float(once) / scale)
         return float(np.median(gains)) if 2 * len(gains) > len(STEP_TIME_SHARES) else 0.0
 

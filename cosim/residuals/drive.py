@@ -461,7 +461,7 @@ class DriveApart(Drive):
         """Call a method in the worker; `times` are the times [s] of the rows that the call computes."""
         if not self._remote.is_made:
             self._worker.start()
-            self._worker.take_along(self._file.parent)
+            self._worker.remove_if_killed(self._file.parent)
             allocate(self._file, 8 * self._most * len(self.outputs))
             self._remote.make(self._watch(()))
         return self._remote.call("answer", method, self.given, *arguments, watch=self._watch(times))

@@ -133,9 +133,10 @@ class Event(Part):
 
 
 class ClockTiming(Part):
-    """Times of an input clock of an FMU, for clocks whose times the FMU does not specify.
+    """Times of an input clock of an FMU.
 
-    interval: time [s] between two ticks, of a fixed, tunable or triggered clock
+    interval: time [s] between two ticks, of a triggered clock, or in place of the declared interval of a fixed or
+        tunable clock
     shift:    time [s] from the start of the run to the first tick of a triggered clock
     at:       times [s] of all ticks of a triggered clock, in order
     """
@@ -155,7 +156,7 @@ class FmuComponent(Part):
     process: `own` for a process of its own, not shared with other FMUs
     interface: FMI interface, if the FMU offers several
     event_mode: true to use event mode in FMI 3.0 co-simulation; by default true if the FMU has clocks
-    clocks:    input clock → its times, for clocks whose times the FMU does not specify
+    clocks:    input clock → its times
     step:      communication step of this FMU [s], a whole multiple of the scenario's step
     tolerance: relative tolerance of the FMU's solver
     logging:   true for debug logging

@@ -98,7 +98,7 @@ def is_exchange(component: Any) -> bool:
     return isinstance(component, FmuBlock) and isinstance(component.instance, ModelExchange)
 
 
-def takes_part_of_step(stage: Stage, loops: Sequence[Loop]) -> bool:
+def can_end_step_at_event(stage: Stage, loops: Sequence[Loop]) -> bool:
     """Return True if a component can end a step at any event; components of an algebraic loop cannot."""
     component = stage.component
     if any(component.name in loop.members for loop in loops):
@@ -140,7 +140,7 @@ def check_events(building: Building, plan: Schedule, apart: Collection[str]) -> 
         return
     for stage in plan.stages:
         name, reason = stage.component.name, ""
-        if not takes_part_of_step(stage, plan.loops):
+        if not can_end_step_at_event(stage, plan.loops):
             reason = "accepts only one step length or is part of an algebraic loop"
         elif name in apart and is_exchange(stage.component):
             reason = "uses model exchange in a process of its own"

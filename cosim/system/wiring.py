@@ -310,7 +310,7 @@ def _transfer(building: Building, connection: Connection, source: Signal, target
     scenario, ends = building.scenario, f"{connection.source} to {connection.target}"
     if not is_compatible(source.kind, target.kind):
         kinds = f"{source.kind or 'a number'} and {target.kind}"
-        raise ValueError(f"{ends}: types do not agree, {kinds}; connect equal types")
+        raise ValueError(f"{ends}: types do not agree, {kinds}; connect compatible types")
     if source.declared and source.declared == target.declared and source.items != target.items:
         items = f"{_numbers(source.items)}; {_numbers(target.items)}"
         raise ValueError(f"{ends}: enumerations {source.declared} with different items: {items}; connect equal ones")

@@ -115,7 +115,14 @@ class InputLag(RememberingTerm):
 
 
 class SecondOrderLag(RememberingTerm):
-    """Two equal lags of an input in series."""
+    """Second-order lag of an input.
+
+    With the deviation p of u₂ from u and r = h/T, p and s = T·ṗ after a substep h are
+
+        p·c + (ζ·p + s)·σ    s·c − (ζ·s + p)·σ    c, σ = e^(−ζr)·cos wr, e^(−ζr)·sin(wr)/w    w = √(1 − ζ²)
+
+    with cosh and sinh for ζ > 1. The mean follows from the integrated equation.
+    """
 
     kind = "second_order_lag"
     equation = "T²·ü₂ + 2·ζ·T·u̇₂ + u₂ = u, u₂ in place of u"
@@ -132,19 +139,19 @@ class SecondOrderLag(RememberingTerm):
     def advance(self, m: Namespace, h: Number, value: Number, memory: Values) -> tuple[Number, Values]:
         """Return the mean over the substep, and both values at its end; exact for a constant input."""
         acts, time = self.time > MIN_LAG_SHARE * h, m.maximum(self.time, MIN_LAG_SHARE * h)
-        position, speed = memory[0] - value, memory[1] - memory[0]  # of the deviation, in units of the input
-        damping, r, least = self.damping, h / time, 1e-6
+        position, rate = memory[0] - value, memory[1] - memory[0]  # of the deviation, in units of the input
+        damping, r, least = self.damping, h / time, 1e-6  # avoids 0/0 where ζ is 1
         square = 1.0 - damping * damping  # w is imaginary if the damping exceeds 1
         w, v = m.sqrt(m.maximum(square, least)), m.sqrt(m.maximum(-square, least))
-        fades, slow, fast = m.exp(-damping * r), m.exp((v - damping) * r), m.exp(-(v + damping) * r)
-        swings = square > 0.0
-        swing = m.where(swings, fades * m.cos(w * r), 0.5 * (slow + fast))
-        wave = m.where(swings, fades * m.sin(w * r) / w, 0.5 * (slow - fast) / v)
-        at_end = position * swing + (damping * position + speed) * wave
-        speed_at_end = speed * swing - (damping * speed + position) * wave
-        mean = value + (speed - speed_at_end + 2.0 * damping * (position - at_end)) * time / h
+        envelope, slow, fast = m.exp(-damping * r), m.exp((v - damping) * r), m.exp(-(v + damping) * r)
+        oscillates = square > 0.0
+        cosine = m.where(oscillates, envelope * m.cos(w * r), 0.5 * (slow + fast))
+        sine = m.where(oscillates, envelope * m.sin(w * r) / w, 0.5 * (slow - fast) / v)
+        at_end = position * cosine + (damping * position + rate) * sine
+        rate_at_end = rate * cosine - (damping * rate + position) * sine
+        mean = value + (rate - rate_at_end + 2.0 * damping * (position - at_end)) * time / h
         end = value + at_end
-        return m.where(acts, mean, value), (m.where(acts, end, value), m.where(acts, end + speed_at_end, value))
+        return m.where(acts, mean, value), (m.where(acts, end, value), m.where(acts, end + rate_at_end, value))
 
 
 # -- at a pair of position and velocity ------------------------------------------------------------
@@ -239,19 +246,19 @@ Gap = Force.named(  # the spring transmits force only beyond the gap
 
 Leak = RateTerm.named(
     "leak",
-    equation="−c·s in the rate of s",
+    equation="−c·s added to ds/dt",
     coefficient=scaled_size("r/q", typical=0.05, low=0.0, high=5.0, doc="coefficient c"),
     rate=lambda e, m, s: -e.coefficient * s,
 )
 GrowingLeak = RateTerm.named(
     "growing_leak",
-    equation="−c·s·|s| in the rate of s",
+    equation="−c·s·|s| added to ds/dt",
     coefficient=scaled_size("r/q^2", typical=0.05, low=0.0, high=5.0, doc="coefficient c"),
     rate=lambda e, m, s: -e.coefficient * s * m.sqrt(s * s),
 )
 Overflow = RateTerm.named(  # loss above a limit
     "overflow",
-    equation="−c·max(s − l, 0) in the rate of s",
+    equation="−c·max(s − l, 0) added to ds/dt",
     coefficient=scaled_size("r/q", typical=1.0, low=0.0, high=100.0, doc="coefficient c"),
     level=scaled("q", default=1.0, typical=0.2, low=-4.0, high=4.0, doc="level l", absolute=True),
     starts=tuple({"coefficient": 1.0, "level": level} for level in (0.3, 1.0, 1.6)),

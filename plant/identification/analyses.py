@@ -112,7 +112,7 @@ def thrust_line(m: Measurement) -> Result:
 
     # estimator of the thesis: all samples with equal weight over the commanded duty, cell as calibrated
     duty = np.concatenate([r.duty[k] for r, k in own])
-    raw = np.concatenate([1000.0 / m.bench.gravity * m.printed_force(r, "z")[k] for r, k in own])
+    raw = np.concatenate([1000.0 / m.bench.gravity * m.thesis_force(r, "z")[k] for r, k in own])
     slope, offset = np.polyfit(duty, raw, 1).tolist()
     line = lines(m).mean(axis=0)
     bows = [_bow(m, r, line, begins)[k] for r, k in own]
@@ -137,7 +137,8 @@ def thrust_line(m: Measurement) -> Result:
     if end < top - 1e-9:
         result.notes.append(
             f"Above a duty of {end + DUTY_MARGIN:.2f} %, the vertical cell is out of range, so only samples with a "
-            f"duty below {end:.2f} % are used; the runs reach {top:.2f} %. A cell with a larger range would cover them."
+            f"duty below {end:.2f} % are used; the runs reach {top:.2f} %. "
+            "A cell with a larger range would cover the whole range of the duty."
         )
     if degree > 1:
         result.warnings.append(
@@ -245,7 +246,7 @@ def ground_effect_exponent(m: Measurement) -> Result:
         return np.asarray(optimize.least_squares(weighted, CHEESEMAN_BENNETT, "3-point", (0.3, 6.0), **exact).x)
 
     # thesis: ln((Γ−1)/Γ) = k·ln(1/(4Z̄)) with weights 1/Z̄, over all usable ratios
-    raw = forces(lambda r: m.printed_force(r, "z"))
+    raw = forces(lambda r: m.thesis_force(r, "z"))
     ratios = raw[:-1] / raw[-1]
     good = ratios > 1.0
     z, g = np.repeat((heights / radius)[:, None], ratios.shape[1], axis=1)[good], ratios[good]
@@ -330,7 +331,7 @@ def projection(m: Measurement) -> Result:
 
     # thesis: thrust of five rows of the fifth test, commanded angle, no tare
     fifth = m.recordings[min(4, len(m.recordings) - 1)]
-    total = float(m.printed_force(fifth, "z")[m.inside(fifth)][:5].mean())
+    total = float(m.thesis_force(fifth, "z")[m.inside(fifth)][:5].mean())
     thesis = {f"{name}_projection": m.printed_factor(c, f) / total for c, name, f in functions}
     result = estimated(m, "projection", factors, "zx", thesis, "Test 3, over cos α and sin α")
     first, same = m.recordings[0], _equally_long(m)
@@ -429,7 +430,7 @@ def after_step(m: Measurement, *, thrust: bool = False) -> Result:
         return least(LAGS, np.array(cost))[:, None]
 
     # thesis: each test by 63 %, by rise time over 2.2, and by the initial slope
-    by_hand = [_by_hand(r.time - at, m.printed_force(r, channel), m.test.window[1] - at) for r in m.recordings]
+    by_hand = [_by_hand(r.time - at, m.thesis_force(r, channel), m.test.window[1] - at) for r in m.recordings]
     ways = dict(zip(("63 %", "rise time", "slope"), np.array(by_hand).T, strict=True))
     origin, details = f"Test 4, fit of the {title} after a step", dict[str, Any]()
     result = estimated(m, "thrust_step" if thrust else "step", lags, channel, {name: np.nan}, origin)
@@ -589,7 +590,7 @@ def _sines_by_hand(chosen: list[list[tuple[Recording, float]]], m: Measurement) 
         for j, (r, w) in enumerate(row):
             begin = m.test.lead + m.test.skipped_by_thesis(w)
             rows = (r.time >= begin) & (r.time < begin + 2.0 * np.pi / w + 1e-9)
-            y = _smoothed(m.printed_force(r, "x"), SMOOTHED_ROWS, 100.0)[rows]
+            y = _smoothed(m.thesis_force(r, "x"), SMOOTHED_ROWS, 100.0)[rows]
             t = r.time[rows] - m.test.lead
             size[k, j] = 0.5 * (y.max() - y.min())
             phase[k, j] = (270.0 - w * float(t[np.argmin(y)]) * DEGREE + 180.0) % 360.0 - 180.0

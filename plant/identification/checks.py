@@ -46,7 +46,7 @@ def planned_faults(protocol: Protocol) -> Iterator[Fault]:
     for name, test in file.tests.named_tests():
         runs = [] if test.files else commands(test, bench, file.step)
         missing = (missing_phase(bench, name, test, run, idle) for run in runs)
-        for key, message in {(fault[0], fault[2]) for fault in missing if fault}:
+        for key, message in dict.fromkeys((fault[0], fault[2]) for fault in missing if fault):
             yield protocol.yaml.fault(("tests", name, key), message)
 
 
@@ -82,7 +82,7 @@ def missing_phase(bench: Bench, name: str, test: Test, r: Recording, idle: float
         )
         # slower motion is no step
         if np.abs(np.diff(command[np.abs(r.time - test.at) <= 2.5 * r.step])).max(initial=0.0) < least:
-            text = f"{of} has no step at {test.at:g} s of at least {'0.02 %' if of == 'duty' else '5°'}"
+            text = f"{of} has no step at {test.at:g} s of at least {least:g}{' %' if of == 'duty' else '°'}"
             return "at", _first(window), text
     for key, rows in phases.items():
         low = rows & (duty <= begins)
@@ -203,9 +203,9 @@ def result_faults(protocol: Protocol, results: Sequence[Result]) -> Iterator[Fau
                 low, high = LAGS[0] * 1.001, LAGS[-1] / 1.001
             else:
                 low, high = RESULT_RANGE if "projection" in e.name else protocol.bench.declared[e.name].bounds
-            possible = f"{low:.4g} to {high:.4g} {e.unit}"
             interval = f"95 % interval {e.low:.4g} … {e.high:.4g}"
-            text = f"{e.name} is {e.value:.4g} {e.unit} ({interval}), outside the possible range {possible}"
+            possible = f"{low:.4g} to {high:.4g} {e.unit}, with a finite interval"
+            text = f"{e.name} is {e.value:.4g} {e.unit} ({interval}); possible are {possible}"
             if not (low <= e.value <= high and np.isfinite([e.low, e.high]).all()):
                 cure = "check the units and calibration points of the cells, and look for a deviating run"
                 yield protocol.yaml.fault(("tests", result.test), f"{text}; {cure}", key=True)

@@ -100,7 +100,7 @@ class Measurement:
         drift = float(volts[r.rows(self.test.rest)].mean()) - cell.zero
         return cell.force(volts - drift)
 
-    def printed_force(self, r: Recording, channel: str) -> Array:
+    def thesis_force(self, r: Recording, channel: str) -> Array:
         """Return the force as in the thesis: with tare, by a piecewise cubic through every calibration point."""
         return replace(self.cells[channel], smooth=False).force(r.volts[channel])
 
@@ -121,7 +121,7 @@ class Measurement:
         top = bottom = 0.0
         for r in self.recordings:
             basis = function(r.commanded_tilt(self.bench)[self.inside(r)])
-            top += float(self.printed_force(r, channel)[self.inside(r)] @ basis)
+            top += float(self.thesis_force(r, channel)[self.inside(r)] @ basis)
             bottom += float(basis @ basis)
         return top / bottom
 

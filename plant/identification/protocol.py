@@ -203,7 +203,7 @@ class SineTest(Test):
         if len(periods) != len(frequencies):
             raise ValueError("give one number for each frequency")
         if max((2.0 * math.pi * n / w for n, w in zip(periods, frequencies, strict=True)), default=0.0) > MAX_RUN_TIME:
-            raise ValueError(f"a run may last {MAX_RUN_TIME:g} s; give fewer periods")
+            raise ValueError(f"a run may last at most {MAX_RUN_TIME:g} s; give fewer periods")
         return periods
 
 

@@ -162,10 +162,7 @@ class RemoteLibraryKernel:
     def simulate_from(
         self, data: Data, p: Array, points: tuple[Sequence[int], Any, Any], length: int
     ) -> list[Simulated]:
-        """Simulate `length` rows of a log from each start row in `points` (rows, states, memories).
-
-        `Problem.simulate_from` describes the arguments.
-        """
+        """Simulate a log from several start rows, as `Problem.simulate_from`; each run has `length` further rows."""
         each = [tuple(part[k : k + 1] for part in points) for k in range(len(points[0]))]
         runs = self.call_all("simulate_from", [(data, p, point, length) for point in each])
         return [*chain.from_iterable(runs)]

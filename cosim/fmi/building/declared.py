@@ -284,9 +284,8 @@ def _trial_faults(kind: type[Model], source: ModelText) -> list[Fault]:
             values, names = getattr(model, hook)(), [q.name for q in quantities]
             if not (isinstance(values, dict) and values.keys() <= set(names)):
                 reason = (
-                    f"`{hook}` returns {values!r}; return a dict from names to values, such as {{'{names[0]}': 0.0}}"
+                    f"`{hook}` returns {values!r}; return a dict of names and values; allowed names: {', '.join(names)}"
                 )
-                reason += f"; allowed names: {', '.join(names)}"
                 return [source.fault(kind, hook, reason)]
         doing = "`equations` raises"
         faults += _equation_faults(source, model, SCALAR, (0.0, model.start(), model.start_command()))

@@ -311,7 +311,7 @@ def decisive_part(r: Refinement) -> Part:
     return "validation" if "validation" in r.record["error"]["before"] else "estimation"
 
 
-def _numbers(r: Refinement, part: str, name: str) -> dict[str, float]:
+def _errors_by_model(r: Refinement, part: str, name: str) -> dict[str, float]:
     """Return the errors of a channel by model, and its noise floor; NaN if missing."""
     error = r.record["error"]
     found = {v: (error.get(v) or {}).get(part, {}) for v in ("before", "recalibrated", "after", "nearest")}
@@ -325,7 +325,7 @@ def error_tables(r: Refinement) -> list[dict[str, Any]]:
     for part, title in PART_TITLES.items():
         rows = []
         for name in r.record["error"]["before"].get(part, {}):
-            sizes = _numbers(r, part, name)
+            sizes = _errors_by_model(r, part, name)
             after, floor = sizes["after"], sizes["floor"]
             row: dict[str, Any] = {key: error_text(r.study.subject, name, size) for key, size in sizes.items()}
             row["sensor_noise"] = error_text(r.study.subject, name, r.record["sensor_noise"].get(name, math.nan))
@@ -340,7 +340,7 @@ def error_tables(r: Refinement) -> list[dict[str, Any]]:
 def leading_channel(r: Refinement) -> str:
     """Return the channel with the largest error of the given model relative to the noise floor, or ""."""
     part = decisive_part(r)
-    numbers = {name: _numbers(r, part, name) for name in r.record["error"]["before"][part]}
+    numbers = {name: _errors_by_model(r, part, name) for name in r.record["error"]["before"][part]}
     ratios = {name: n["before"] / n["floor"] for name, n in numbers.items() if n["floor"] > 0.0}
     return max(ratios, key=lambda name: ratios[name], default=next(iter(numbers), ""))
 
@@ -351,7 +351,7 @@ def second_sentence(r: Refinement) -> str:
     if not name:
         return ""
     where = "On sealed logs" if part == "validation" else "On the logs of the fits (none was sealed)"
-    sizes = _numbers(r, part, name)
+    sizes = _errors_by_model(r, part, name)
     shown = {key: error_text(r.study.subject, name, size) for key, size in sizes.items()}
     verb = "fell" if sizes["after"] < sizes["before"] else "rose"
     text = f"{where} the error of {name} over {horizon(r)} {verb} from {shown['before']} to {shown['after']}"
@@ -505,8 +505,8 @@ def shown_effects(r: Refinement, charts: Charts) -> list[dict[str, Any]]:
     for s in compare_effects(r):
         where, (unit, factor), x = f"missing derivative of {s.where}", display(s.unit), s.against.values
         sentence = (
-            f"The part of the derivative of {s.where} that the model lacks, over {s.against.name}, the signal on which "
-            "it depends most"
+            f"The chart shows the part of the derivative of {s.where} that the model lacks, over {s.against.name}, the "
+            "signal on which it depends most"
         )
         if s.term is not None:
             sentence = f"{s.effect} explains {percent(s.share)} of the mean square of the {where} in single rows"

@@ -305,6 +305,8 @@ def signal_units(subject: Subject) -> dict[str, str]:
 def promising_shapes(test: ScoreTest, units: Mapping[str, str]) -> tuple[list[Shape], int, Signals]:
     """Return the most likely shape of each kind and equation, the number of shapes tried, and the signals.
 
+    A shape is a function of a signal that may be missing in an equation.
+
     Args:
         test: Score test at the fit.
         units: Units of the signals; two states with equal units also give a difference signal.
@@ -609,7 +611,7 @@ def smooth_logs(problem: Problem, base: Fit) -> MissingInput:
                 F = _transitions_of_deviations(problem, base.values, noise, index)[:count]
                 ahead = np.einsum("kij,kj->ki", F, x)
             else:
-                ahead, F = _linear(problem, base.values, index, run, count)
+                ahead, F = _linearized_steps(problem, base.values, index, run, count)
             x, P, Q = x.copy(), run.covariances[:count].copy(), np.diag(problem.densities(noise)) * data.step
             for k in range(count - 2, -1, -1):
                 spread = F[k] @ P[k] @ F[k].T + Q
@@ -681,7 +683,9 @@ def contributions(problem: Problem, base: Fit, after: Fit, index: int) -> Array:
     return np.asarray((with_it - without)[min(count_unscored(data), rows) :, layout.forced_places] / data.step)
 
 
-def _linear(problem: Problem, values: NamedValues, index: int, run: Filtered, rows: int) -> tuple[Array, Array]:
+def _linearized_steps(
+    problem: Problem, values: NamedValues, index: int, run: Filtered, rows: int
+) -> tuple[Array, Array]:
     """Return the prediction of each next row from the filtered states, and its derivative by finite differences."""
     reached, states, memory = list(problem.layout.stochastic), run.states[: rows - 1], run.memory[: rows - 1]
     size = NUDGE * np.maximum(np.abs(states[:, reached]).max(axis=0), np.sqrt(np.diag(problem.P0)))
