@@ -527,11 +527,11 @@ class ScheduledInstance(EventInstance):
         self._update = fmi3ClockUpdateCallback(lambda _: self.on_update())  # kept as long as the FMU exists
         instantiate = self.fmu.fmi3InstantiateScheduledExecution
 
-        def with_updates(*arguments: Any) -> Any:  # FMPy's own method ignores updates of clocks.
+        def with_updates(*arguments: Any) -> Any:  # argument 7 is the callback; that of FMPy ignores updates of clocks
             return instantiate(*arguments[:7], self._update, *arguments[8:])
 
         self.fmu.fmi3InstantiateScheduledExecution = with_updates
-        Instance.make_instance(self, logging, **options)
+        Instance.make_instance(self, logging, **options)  # the options of EventInstance are for co-simulation only
 
 
 class ScheduledFmu(EventFmu):

@@ -465,20 +465,20 @@ def end_of(name: str, reached: float) -> EarlyEnd:
 
 @functools.cache
 def _callbacks(version: int) -> Any:
-    """Return the callbacks of all instances of FMI 1.0 or 2.0; a message goes to the instance of its name.
+    """Return the callbacks of all instances of FMI 1.0 or 2.0, because FMPy has one function for all messages.
 
-    FMPy passes all messages of a process to one function, and pythonfmu gives all of them the name of one instance.
+    A message goes to the instance of its name or, if that has ended, to the instance made last: pythonfmu gives all
+    messages of a process the name of one instance.
     """
     import fmpy
 
     module = import_module(f"fmpy.fmi{version}")
 
     def logger(_: Any, instance: bytes | None, status: int, category: Any, message: bytes | None) -> None:
-        listeners = (
-            _listeners.get(name, lambda: None)() for name in ((instance or b"").decode("utf-8", "replace"), LAST)
-        )
-        if (listener := next(filter(None, listeners), None)) is not None:
-            listener(status, message)
+        for name in ((instance or b"").decode("utf-8", "replace"), LAST):
+            if (listener := _listeners.get(name, lambda: None)()) is not None:
+                listener(status, message)
+                break
 
     functions = {"Logger": logger, "AllocateMemory": fmpy.calloc, "FreeMemory": fmpy.free}
     callbacks = getattr(module, f"fmi{version}CallbackFunctions")()

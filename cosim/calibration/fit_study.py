@@ -261,8 +261,9 @@ def _parameters(request: Request, description: Any, given: Mapping[str, Any]) ->
         is_state = v.causality in {"local", "internal", "output", None}
         if v.type in FLOAT_TYPES and not v.shape and v.start is not None and settable(v) and (is_parameter or is_state):
             first = float(given.get(v.name, v.start))
-            starts = not is_parameter or v.name.removesuffix("_start") in names - {v.name}
-            offered[v.name] = Parameter(v.name, unit_of(v), first, *limits_of(v), is_start=starts, per_log=starts)
+            # an FMU of cosim or pythonfmu sets the start value of x by a parameter x_start
+            is_start = not is_parameter or v.name.removesuffix("_start") in names - {v.name}
+            offered[v.name] = Parameter(v.name, unit_of(v), first, *limits_of(v), is_start=is_start, per_log=is_start)
     offered = dict(sorted(offered.items(), key=lambda item: item[1].is_start))
     own = _named(request, "per_log", description, offered)
     chosen = _named(request, "vary", description, offered)

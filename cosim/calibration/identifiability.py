@@ -33,11 +33,11 @@ def screen(likelihood: Likelihood) -> tuple[list[ChoiceEntry], Flags]:
     """Return selected and rejected parameters with reasons, and an array that is True for each selected unknown.
 
     Each parameter is changed by 1 % and by 10 % of its scale. Parameters with an effect are ranked by pivoted QR of
-    their sensitivities: the next parameter is the one that selected parameters reproduce least.
+    their sensitivities: the next parameter is the one that selected parameters reproduce least_norm.
     """
     logs, good = likelihood.logs, [np.isfinite(t) for t in likelihood.best.tables]
     sigma = np.maximum(logs.noise, MIN_NOISE_LEVEL * logs.spread)  # the sensor noise, or the resolution of models
-    shares = np.concatenate([np.broadcast_to(sigma / logs.spread, g.shape)[g] for g in good])
+    noise_shares = np.concatenate([np.broadcast_to(sigma / logs.spread, g.shape)[g] for g in good])
 
     def changed(j: int, change: float) -> Array | None:
         """Return the change of the residuals, in noise levels, by a change of an unknown; None if the FMU fails."""
@@ -56,37 +56,39 @@ def screen(likelihood: Likelihood) -> tuple[list[ChoiceEntry], Flags]:
                 nuisance.append(moved)
             continue
         tried = {c: moved for c in SCREENING_STEPS if (moved := changed(j, c)) is not None}
-        largest = max((np.nanmax(np.abs(moved) * shares, initial=0.0) for moved in tried.values()), default=0.0)
+        largest = max((np.nanmax(np.abs(moved) * noise_shares, initial=0.0) for moved in tried.values()), default=0.0)
         names.append(unknown.name)
-        columns.append(next((moved / change for change, moved in tried.items()), np.zeros(shares.size)))
+        columns.append(next((moved / change for change, moved in tried.items()), np.zeros(noise_shares.size)))
         effects.append(float(np.linalg.norm(tried[SCREENING_STEPS[1]])) if SCREENING_STEPS[1] in tried else math.nan)
         none = "no effect on any measured output" if tried else "the FMU fails with each changed value"
         reasons.append("" if largest > ROUNDING_CHANGE else none)
     matrix = np.column_stack(columns)
     starts = np.column_stack(nuisance) if nuisance else np.zeros((matrix.shape[0], 0))
     sizes, matrix = np.linalg.norm(matrix, axis=0), _without(matrix, starts)
-    chosen, rest, least = list[int](), matrix.copy(), NORMAL_95 / MAX_HALF_WIDTH
+    chosen, rest, least_norm = list[int](), matrix.copy(), NORMAL_95 / MAX_HALF_WIDTH
     while True:  # pivoted QR, in which only chosen columns take part
-        left = np.linalg.norm(rest, axis=0)
+        norms = np.linalg.norm(rest, axis=0)
         fits = [
-            i for i, r in enumerate(reasons) if not r and left[i] >= max(least, MIN_OWN_SHARE * max(sizes[i], 1e-300))
+            i
+            for i, r in enumerate(reasons)
+            if not r and norms[i] >= max(least_norm, MIN_OWN_SHARE * max(sizes[i], 1e-300))
         ]
         if not fits:
             break
-        best = max(fits, key=lambda i: (round(math.log10(left[i]), 3), -i))  # the first of nearly equal ones
+        best = max(fits, key=lambda i: (round(math.log10(norms[i]), 3), -i))  # the first of nearly equal ones
         chosen.append(best)
-        reasons[best] = f"its interval is at best ± {plain(100.0 * NORMAL_95 / left[best], 2)} % of its value"
-        direction = rest[:, best] / left[best]
+        reasons[best] = f"its interval is at best ± {plain(100.0 * NORMAL_95 / norms[best], 2)} % of its value"
+        direction = rest[:, best] / norms[best]
         rest = rest - np.outer(direction, direction @ rest)
     for i in (i for i, reason in enumerate(reasons) if not reason):
-        if chosen and np.linalg.norm(matrix[:, i]) >= least:
+        if chosen and np.linalg.norm(matrix[:, i]) >= least_norm:
             weights = least_squares(matrix[:, chosen], matrix[:, i])
             parts = np.abs(weights) * np.linalg.norm(matrix[:, chosen], axis=0)
             imitators = [
                 names[c] for c, part in zip(chosen, parts, strict=True) if part > IMITATOR_SHARE * np.max(parts)
             ]
             reasons[i] = f"not distinguishable from {join_names(imitators)}"
-        elif sizes[i] >= least:
+        elif sizes[i] >= least_norm:
             reasons[i] = "not distinguishable from start values of the logs"
         else:
             at_best = plain(100.0 * NORMAL_95 / max(float(sizes[i]), 1e-12), 2)

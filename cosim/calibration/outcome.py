@@ -119,7 +119,7 @@ def write_record(
     assert estimate.likelihood is not None
     logs, spread, likelihood = estimate.logs, estimate.covariance, estimate.likelihood
     point, unknowns = likelihood.best, likelihood.unknowns
-    alone = {n for c in estimate.combinations for n in c.names}
+    combined = {n for c in estimate.combinations for n in c.names}
     parameters, starts, per_log = dict[str, ParameterEntry](), list[StartEntry](), list[LogEntry]()
 
     halves = np.full(len(unknowns), np.nan) if spread is None else spread.halves
@@ -134,7 +134,7 @@ def write_record(
                 low=finite(p.low),
                 high=finite(p.high),
                 tolerance=p.tolerance,
-                ci95=None if p.name in alone else ci95,
+                ci95=None if p.name in combined else ci95,
                 status="held" if is_held else "at_bound" if value in (p.low, p.high) else "estimated",
                 profile=estimate.profiles.get(p.name),
             )

@@ -126,22 +126,23 @@ def fit(
         load = partial(drive_in, worker, limits=inner, given=given.fixed)
         drives = [stack.enter_context(load(log, path)) for log in given.logs]
         _refuse_bad(drives)
-        opened, closed = drives[: len(request.estimation)], drives[len(request.estimation) :]
-        estimate, parts = Estimate(Logs(opened, begin + (most.total or np.inf)), progress), list[Part]()
+        estimation_drives, sealed_drives = drives[: len(request.estimation)], drives[len(request.estimation) :]
+        estimate, parts = Estimate(Logs(estimation_drives, begin + (most.total or np.inf)), progress), list[Part]()
         stop: SimulationError | None = None
         stage = "the fit"
         try:
             estimate.run(given.parameters, screening=not request.vary, profiled=request.profile)
             stage = "the proof"
             progress("replaying with the values before and after the fit", 0.0)
-            sets = [(opened, False), (closed, True)]
+            sets = [(estimation_drives, False), (sealed_drives, True)]
             parts = [prove(given.parameters, estimate, of, sealed=sealed) for of, sealed in sets if of]
         except OutOfTime:
             reached = f"the limit of {most.total:g} s (limits: total) is reached"
             stop = TimedOut("the fit", 0.0, f"{reached}; the best values so far are written, without final check")
         except (SimulationError, KeyboardInterrupt, Terminated) as error:
             is_failure = isinstance(error, SimulationError)
-            if stage == "the fit" if is_failure else estimate.likelihood is None:
+            has_no_result = stage == "the fit" if is_failure else estimate.likelihood is None
+            if has_no_result:
                 raise
             stop = stop_error(error, 0.0, stage)
         if estimate.likelihood is None:
@@ -154,7 +155,7 @@ def fit(
         remove_earlier(place, read=files)
         values = {name: entry.value for name, entry in record.parameters.items()}
         likelihood, x = estimate.likelihood, estimate.likelihood.best.x
-        if len(opened) == 1:  # named start values of a single log may be start values of the fitted FMU
+        if len(estimation_drives) == 1:  # named start values of a single log may be start values of the fitted FMU
             each = zip(likelihood.unknowns, x.tolist(), strict=True)
             values |= {u.name: v for u, v in each if u.log is not None and not u.spread}
         all_values = {n: v for n, v in given.fixed.items() if isinstance(v, float)} | values
@@ -174,10 +175,10 @@ def fit(
                 record.warnings.append(f"no fitted.fmu: {reason}. fitted.ssv has the values; `{command}` sets them")
             if way and parts:
                 progress("measuring error bands", 0.0)
-                every = [likelihood.values(x, k) for k in range(len(opened))]
+                every = [likelihood.values(x, k) for k in range(len(estimation_drives))]
                 kept = [{n: v for n, v in each.items() if n in values} for each in every]
                 try:
-                    known, record.coverage = credibility_of(record, likelihood, opened, closed, kept)
+                    known, record.coverage = credibility_of(record, likelihood, estimation_drives, sealed_drives, kept)
                     attach(place / "fitted.fmu", known)
                 except (SimulationError, FmuError) as error:
                     record.warnings.append(f"fitted.fmu has no record of credibility: {error}")

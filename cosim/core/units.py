@@ -300,12 +300,12 @@ def unit_of_rate(unit: str) -> str:
 def unit_product(factors: Iterable[tuple[str, int]]) -> str:
     """Return the unit of a product of powers of units; "" for a pure number or with an unknown unit."""
     product = Counter[str]()
-    for unit, times in factors:
+    for unit, exponent in factors:
         words = _words(unit or "1")
         if words is None or any(symbol not in SYMBOLS for symbol, _ in words):
             return ""
         for symbol, power in words:
-            product[symbol] += times * power
+            product[symbol] += exponent * power
     return _unit_text(product)
 
 

@@ -145,7 +145,11 @@ def attach(fmu: Path, record: Credibility) -> None:
 
 
 def _rewrite(fmu: Path, members: Mapping[str, bytes], drop: str = "") -> None:
-    """Write files into an FMU, replacing files of the same name; all other files keep date and position."""
+    """Write files into an FMU, after its other files, which keep their dates; replace files of the same name.
+
+    Args:
+        drop: File to leave out.
+    """
     with draft_of(fmu) as draft, zipfile.ZipFile(fmu) as old, zipfile.ZipFile(draft, "w") as new:
         for member in old.infolist():
             if member.filename not in members and member.filename != drop:

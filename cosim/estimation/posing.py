@@ -100,9 +100,9 @@ def start_covariance(subject: Subject, problem: Problem) -> Array:
     variances = {n: WITHIN * v for n, v in zip(layout.outputs, problem.r.tolist(), strict=True) if n in measured}
     variances = {**subject.start_variance, **variances}
     derived = {layout.states[k] for k in layout.carrying}  # from a constant, with the uncertainty of the constant
-    known = DISTURBANCE, DEVIATION, EARLIER, CONSTANT_PREFIX
-    names = [n for n in layout.uncertain if not n.startswith(known) and n not in derived]
-    if not variances.keys() >= set(names):
+    of_noise = DISTURBANCE, DEVIATION, EARLIER, CONSTANT_PREFIX  # states whose variance the noise or a constant sets
+    names = [n for n in layout.uncertain if not n.startswith(of_noise) and n not in derived]
+    if set(names) - variances.keys():
         ranges = dict(zip(layout.states, _range(problem).tolist(), strict=True))
         variances = {name: ranges[name] ** 2 or 1.0 for name in names} | variances
     return np.diag([variances.get(name, 0.0) if name not in derived else 0.0 for name in layout.uncertain])

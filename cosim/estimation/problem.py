@@ -237,8 +237,8 @@ class Problem:
         """Return the limits of the noise in a fit, with stated sensor noise as weak prior."""
         now, steps = self.at(self.noise.plain), [d.step for d in self.logs]
         stated, decade = np.log(self.r), np.log(WITHIN)
-        least = np.where(self.stated, 1.0 / WITHIN, MIN_NOISE_SHARE) ** 2 * np.exp(stated)
-        low = np.log(np.maximum(least, self._largest("resolution") ** 2 / 12.0))
+        least = np.where(self.stated, 1.0 / WITHIN, MIN_NOISE_SHARE) ** 2 * self.r
+        low = np.log(np.maximum(least, self._largest("resolution") ** 2 / 12.0))  # the variance of rounding
         high = np.maximum(np.log(np.maximum(self._largest("spread") ** 2, TINY)), stated + 2.0 * decade)
         if self.layout.is_free_run and not self.trusted:  # unknown inputs must explain errors of the model
             most = np.log(np.maximum(self.r, 0.0 if self.shown is None else self.shown))
@@ -402,7 +402,7 @@ class Problem:
 
     def _aligned(self, filtered: Filtered, values: NamedValues, index: int) -> tuple[Array, Array]:
         """Return innovations and variances at the rows in which readings arrive, not in which they are measured."""
-        e, s = filtered.errors, filtered.variances
+        e, s = filtered.errors, filtered.variances  # changed in place; the last rows, which roll to the front, are NaN
         for k, late in self.in_rows(self.late, values, index).items():
             e[:, k], s[:, k] = np.roll(e[:, k], round(late)), np.roll(s[:, k], round(late))
         return e, s

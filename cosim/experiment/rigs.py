@@ -59,7 +59,9 @@ class Trial:
         """Return the trial as a log."""
         units = {q.name: q.unit for q in (*model.inputs, *model.outputs)}
         outputs = {name: self.outputs[name] for name in measured}
-        return Log(Path("trial.csv"), self.time, self.inputs, outputs, units, model.rate, units, {})
+        return Log(
+            Path("trial.csv"), self.time, self.inputs, outputs, units, step=model.rate, written=units, unwrapped={}
+        )
 
     def excess(self, limits: Mapping[str, float]) -> float:
         """Return the largest excursion relative to its limit; infinite if the model diverges."""

@@ -51,7 +51,7 @@ def with_starts(ports: Iterable[Port], values: Mapping[str, Value]) -> tuple[Por
 def model_ports(model: Model) -> tuple[Port, ...]:
     """Return all variables of a model.
 
-    Order: inputs, outputs, parameters, effects, start values.
+    Order: inputs, outputs, parameters, parameters of effects, start values.
     """
     commands = dict(zip((q.name for q in model.inputs), model.start_command(), strict=True))
     ports = [Port(q.name, "input", commands[q.name], q.unit, q.doc) for q in model.inputs]
@@ -65,7 +65,7 @@ def model_ports(model: Model) -> tuple[Port, ...]:
     starts = [("", q, states.get(q.name, q.start)) for q in model.base_states]
     for kind in model.catalogue:
         starts += [(f"{kind.name}.", q, q.start) for q in kind.states]
-        starts += [(f"{kind.name}.", q, commands.get(q.name, q.start)) for q in kind.memory]
+        starts += [(f"{kind.name}.", q, commands.get(q.name, q.start)) for q in kind.memory]  # past inputs
     for prefix, q, start in starts:
         ports.append(Port(f"{prefix}{q.name}_start", "parameter", start, q.unit, f"start value: {q.doc}"))
     return tuple(ports)

@@ -16,7 +16,7 @@ MIN_COUPLING = 1e-9  # smallest nonzero entry of a matrix, relative to its large
 MAX_RATE_AT_REST = 1e-6  # largest derivative at an equilibrium [state unit/s]
 POLE_TOLERANCE = 1e-6  # largest distance of equal poles, relative to the fastest pole
 AXIS_TOLERANCE = 1e-9  # real part relative to the largest pole (at least 1 rad/s) below which a pole is on the axis
-RANK_TOLERANCE = 1e-9  # largest singular value that counts as zero, relative to the largest singular value
+RANK_TOLERANCE = 1e-6  # smallest singular value of independent directions, which have size 1; not below POLE_TOLERANCE
 
 
 @dataclass(frozen=True)
@@ -200,7 +200,10 @@ def poles(A: Array) -> Poles:
 
 
 def controllable_rank(A: Array, B: Array) -> int:
-    """Return the dimension of the controllable subspace of the balanced model."""
+    """Return the rank of (B, AB, …, Aⁿ⁻¹B), from an orthonormal basis (block Arnoldi).
+
+    A is balanced and scaled to size 1.
+    """
     from scipy.linalg import matrix_balance
 
     if not len(A) or not B.size:
@@ -213,7 +216,7 @@ def controllable_rank(A: Array, B: Array) -> int:
         for _ in range(2):  # the second pass removes the rounding of the first
             fresh = fresh - base @ (base.T @ fresh)
         u, s, _ = np.linalg.svd(fresh, full_matrices=False)
-        new = u[:, s > RANK_TOLERANCE * 1e3]
+        new = u[:, s > RANK_TOLERANCE]
         base = np.hstack([base, new])
         fresh = balanced @ new / most
     return int(base.shape[1])
@@ -227,4 +230,4 @@ def _is_controllable(A: Array, B: Array, value: complex) -> bool:
     shifted = A - value * np.eye(len(A))
     size = max(float(np.linalg.norm(shifted, 2)), 1e-300)
     columns = B / np.maximum(np.abs(B).max(axis=0), 1e-300) if B.size else B
-    return bool(np.linalg.matrix_rank(np.hstack([shifted / size, columns]), rtol=RANK_TOLERANCE * 1e3) == len(A))
+    return bool(np.linalg.matrix_rank(np.hstack([shifted / size, columns]), rtol=RANK_TOLERANCE) == len(A))

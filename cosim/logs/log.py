@@ -102,7 +102,7 @@ class Log:
         if self.rows < 2 or (abs(ahead[-1]) < DRIFT and not np.any(np.diff(self.time) > MISSING_ROW_STEPS * self.step)):
             return number
         missing = np.rint(ahead).astype(np.intp)
-        # a late row does not shift later rows
+        # those that this and all later rows lack: a single late row does not count
         return number + np.maximum(0, np.minimum.accumulate(missing[::-1])[::-1])
 
 
@@ -336,8 +336,8 @@ def usual_step(time: Array) -> float:
     """Return the typical row spacing [s]: the slope of a line through the times, with whole steps over gaps.
 
     With jittering time stamps, the median of differences is too inaccurate: an error of a thousandth adds up to whole
-    rows at the end of a log. If slope and median differ, the clock is irregular. The result is then a low percentile of
-    the differences, and longer differences are gaps.
+    rows at the end of a log. If slope and median differ by 2 %, the clock is irregular. If the median also misses the
+    last row, the result is a low percentile of the differences, and longer differences are gaps.
     """
     apart = np.diff(time)
     median = float(np.median(apart))

@@ -226,7 +226,7 @@ def delay(log: Log, measured: Array, model: Array) -> MeasuredDelay | None:
 
 
 def fast_part(log: Log, values: Array) -> Array:
-    """Return the deviation of a signal from its moving mean over SLOW_CHANGE_S seconds; NaN at both ends."""
+    """Return the deviation of a signal from its moving mean over SLOW_CHANGE_S·slowness seconds; NaN at both ends."""
     from scipy.ndimage import uniform_filter1d
 
     half, finite = max(1, round(0.5 * SLOW_CHANGE_S * log.slowness / log.step)), np.isfinite(values)

@@ -108,7 +108,11 @@ def _suspects(values: Array) -> Rows:
 
 
 def _rows_off_cubic(y: Array, rows: Rows, limit: float) -> Rows:
-    """Return the rows that deviate from the cubic through SIDE readings on each side; none at a step."""
+    """Return the rows whose readings y deviate by more than `limit` from a cubic; none at a step.
+
+    The cubic is fitted to SIDE readings on each side. Readings with less than half of the largest deviation do not
+    count, because an outlier also moves the cubic.
+    """
     time = (rows - rows[0]).astype(np.float64)
     sides = [slice(None, SIDE), slice(-SIDE, None)]
     around = np.concatenate([np.arange(y.size)[s] for s in sides])

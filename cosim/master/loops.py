@@ -48,7 +48,7 @@ class Member:
         nominal: Input → nominal value; 1 for an input that is not in `declared`.
         repeats: True if outputs react to inputs only after a step, which is therefore repeated.
         reacts: True where an output (row) reacted to an input (column) during initialization.
-        promised: True if the last Jacobian consisted of directional derivatives of the FMU.
+        has_directional: True if the last Jacobian consisted of directional derivatives of the FMU.
     """
 
     def __init__(self, master: Master, component: Any, loop: Loop) -> None:
@@ -65,7 +65,7 @@ class Member:
                 self.nominal[k] = nominal
                 self.declared.add(k)
         self.changes_by_events = getattr(component, "changes_by_events", False)
-        self.repeats, self.promised = False, False
+        self.repeats, self.has_directional = False, False
         self.reacts = np.zeros((len(outputs), len(inputs)), bool)
         self._state: Any = None
         self._is_stepped = True
@@ -255,7 +255,9 @@ class LoopSolver:
             "method": self.method,
             "tolerance": self.settings.tolerance,
             "derivatives": {
-                m.component.name: "directional" if m.promised else "differences" for m in self.members if m.inputs
+                m.component.name: "directional" if m.has_directional else "differences"
+                for m in self.members
+                if m.inputs
             },
             "repeated": [m.component.name for m in self.members if m.repeats],
             "iterations": {"start": self._at_start, "most": max(counts, default=0), "total": sum(counts)},
@@ -280,7 +282,7 @@ class LoopSolver:
         """Return a phrase for the method of solution."""
         if self.settings.method is not None:
             return self.settings.method
-        differences = sum(len(m.inputs) for m in self.members if not m.promised)
+        differences = sum(len(m.inputs) for m in self.members if not m.has_directional)
         return "anderson" if differences > MOST_DIFFERENCES else "newton"
 
     # -- internal -------------------------------------------------------------------------------
@@ -358,16 +360,22 @@ class LoopSolver:
         return np.array([self._gain(t) * along[t.source] for t in self.back])
 
     def _member_slopes(self, member: Member, *, fresh: bool) -> Array:
-        """Return the Jacobian of a component, from its directional derivatives or differences."""
+        """Return the Jacobian of a component, from its directional derivatives or differences.
+
+        A component that refuses an input on both sides counts as unaffected by it.
+
+        Args:
+            fresh: Use differences, after derivatives of the FMU have failed.
+        """
         shape = len(member.outputs), len(member.inputs)
-        promise = getattr(member.component, "slopes", None)
-        member.promised = False
-        if promise is not None and not fresh and all(shape):
+        directional = getattr(member.component, "slopes", None)
+        member.has_directional = False
+        if directional is not None and not fresh and all(shape):
             with suppress(SimulationError):
-                promised = promise(*member.variables)
-                if promised is not None and np.isfinite(promised).all():
-                    member.promised = True
-                    return np.array(promised).reshape(shape)
+                derivatives = directional(*member.variables)
+                if derivatives is not None and np.isfinite(derivatives).all():
+                    member.has_directional = True
+                    return np.array(derivatives).reshape(shape)
         base, slopes = self.signals[member.outputs], np.zeros(shape)
         for j, place in enumerate(member.inputs):
             shift, seen = SHIFT * member.size(place), self._seen.get(place, 0.0)

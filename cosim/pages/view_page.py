@@ -102,7 +102,7 @@ class Viewer:
     def _points(self, wanted: Wanted) -> Response:
         """Return for each curve: number of points, 1 for rows, then time, smallest and largest values."""
         if not wanted.begin < wanted.end:
-            raise _refused("a range of times")
+            raise _invalid_request("a range of times")
         pictures: dict[int, Picture] = {}
 
         def points(run: ViewedRun, name: str) -> list[Array]:
@@ -126,7 +126,7 @@ class Viewer:
 
         curves, across = self._curves(wanted.curves), self._curves(wanted.across)
         if [run for run, _ in curves] != [run for run, _ in across]:
-            raise _refused("signals of the same run for both axes")
+            raise _invalid_request("signals of the same run for both axes")
         return _arrays(plane, [(run, x, y) for (run, x), (_, y) in zip(across, curves, strict=True)])
 
     def _spectrum(self, wanted: Wanted) -> Response:
@@ -193,7 +193,7 @@ class Viewer:
         """Save or remove a layout; return all layouts."""
         layout = content.get("layout") if isinstance(content, dict) else ""
         if not (isinstance(layout, dict | None) and content.get("name")) or self._layouts is None:
-            raise _refused("a layout of `cosim view`")
+            raise _invalid_request("a layout of `cosim view`")
         return Json(self._layouts.put(str(content["name"]), layout))
 
     def _export(self, request: Request, _: Any) -> Response:
@@ -253,7 +253,7 @@ class Viewer:
         for number, name in signals:
             rows = self.runs[number].rows if 0 <= number < len(self.runs) else None
             if rows is None or not (name == TIME_COLUMN or name in rows.units or (texts and name in rows.texts)):
-                raise _refused("a run and one of its signals")
+                raise _invalid_request("a run and one of its signals")
         return [(self.runs[number], name) for number, name in signals]
 
 
@@ -289,8 +289,9 @@ def _read(kind: type[M], content: Any) -> M:
         return kind.model_validate(content)
     except ValidationError as error:
         fault = error.errors(include_url=False)[0]
-        raise _refused(f"{'.'.join(map(str, fault['loc'])) or 'an object'} ({fault['msg']})") from None
+        raise _invalid_request(f"{'.'.join(map(str, fault['loc'])) or 'an object'} ({fault['msg']})") from None
 
 
-def _refused(wanted: str) -> InputError:
+def _invalid_request(wanted: str) -> InputError:
+    """Return the error of a request without something that it needs."""
     return InputError.at(Path("view"), f"the request is invalid: give {wanted}")

@@ -295,6 +295,7 @@ def batches(stages: Sequence[Stage]) -> Iterator[list[Stage]]:
         fmu = component if isinstance(component, FmuBlock) and not component.is_apart else None
         if fmu is not None:
             own, about = code_of(fmu.path).common, fmu.instance.about
+            # it may share data or a tool with other instances
             steps_alone = about.canBeInstantiatedOnlyOncePerProcess or about.needsExecutionTool
         waits = not (names.isdisjoint(t.origin.partition(".")[0] for t in stage.pulls) and data.isdisjoint(own))
         if waits or (fmu is not None and (is_exclusive or (steps_alone and has_fmu))):

@@ -143,7 +143,7 @@ def _check(path: Path, checking: Checking) -> list[str]:
         kind = kinds.kind_by_form(path)
     if kind is None:
         root = YamlFile(path).root
-        is_study = root.keys() & {"model", "candidates"} and "step" not in root  # a worker that does not keep its logs
+        is_study = root.keys() & {"model", "candidates"} and "step" not in root  # a study without `logs`
         kind = kind_by_keys(root) or (artefact.STUDY if is_study else artefact.SCENARIO)
     declared = of_kind(kind)
     if declared is None or not declared.check:
@@ -401,13 +401,13 @@ def linearize_command(*, open: bool = False, json: bool = False, **given: Any) -
 
     for key in ("states", "inputs", "outputs", "residualize"):
         given[key] = [name.strip() for text in given[key] for name in text.split(",") if name.strip()]
-    run = new_run(given["out"], f"{name_of(str(given['model']))}-linear", "cosim linearize", force=given["force"])
-    with run as given["out"]:
-        outcome = linearize(**given)
+    name = f"{name_of(str(given['model']))}-linear"
+    with new_run(given["out"], name, "cosim linearize", force=given["force"]) as folder:
+        outcome = linearize(**given | {"out": folder})
     warn(*outcome.notes)
     if json:
         say_json(content(outcome))
-    m, page = outcome.first, given["out"] / "report.html"
+    m, page = outcome.first, folder / "report.html"
     say(headline(outcome.structure, m))
     say(*table(POLE_COLUMNS, [tuple(row.values()) for row in pole_rows(outcome.structure)]))
     for name in "ABCD":

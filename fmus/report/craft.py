@@ -238,15 +238,15 @@ def reference_track(craft: Craft) -> Track | None:
     """Return the track of the references if the craft begins on it."""
     way, heading = craft.reference("x"), craft.reference("psi")
     begins_there = np.abs(way - craft.signal("x"))[:1] <= ON_TARGET
-    return _lay_out(craft, way, heading) if begins_there.any() else None
+    return _dead_reckoning(craft, way, heading) if begins_there.any() else None
 
 
-def _lay_out(craft: Craft, way: Array, heading: Array) -> Track | None:
-    """Return the track of a distance along a heading, from the craft's start; None without them."""
-    if not is_drawn(way, heading):
+def _dead_reckoning(craft: Craft, distance: Array, heading: Array) -> Track | None:
+    """Return the track by the distance along the axis and the heading, from the true start; None without values."""
+    if not is_drawn(distance, heading):
         return None
     begin, x = true_track(craft), craft.signal("x")
-    steps = np.diff(way, prepend=x[0] if is_drawn(x) else way[0])
+    steps = np.diff(distance, prepend=x[0] if is_drawn(x) else distance[0])
     ahead, aside = np.cumsum(steps * np.cos(heading)), np.cumsum(steps * np.sin(heading))
     return Track(begin.x[0] + ahead, begin.y[0] + aside, heading)
 
@@ -264,7 +264,7 @@ def make_view(crafts: Sequence[Craft], rows: Rows, charts: Charts) -> tuple[dict
             continue
         low, high = extent([true.x, true.y]) or (0.0, 0.0)
         reach, near = 2 * (high - low) + 2, {"true": true}
-        estimated = _lay_out(craft, craft.estimate("x_hat"), craft.estimate("psi_hat"))
+        estimated = _dead_reckoning(craft, craft.estimate("x_hat"), craft.estimate("psi_hat"))
         for name, track in (("estimate", estimated), ("reference", reference_track(craft))):
             span = extent([track.x, track.y]) if track is not None else None
             if track and span and low - reach < span[0] and span[1] < high + reach:  # not far from the craft's own

@@ -79,7 +79,10 @@ def check(model: Model, printer: ModelPrinter) -> None:
 
 
 def generated_code(trace: Trace) -> Callable[[EvaluationPoint, set[str]], list[float]]:
-    """Return the generated equations, printed as Python instead of C, as a function of a point and active effects."""
+    """Return the generated equations, printed as Python instead of C, as a function of a point and active effects.
+
+    Its result has derivatives, outputs, changed command, new memory and memory at the start, as in `evaluate`.
+    """
     parameters, effects = list(trace.s.parameters), [e.name for e in trace.effects]
     places = trace.places({name: k for k, name in enumerate(parameters)})
     functions = (

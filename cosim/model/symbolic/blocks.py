@@ -93,9 +93,11 @@ def extract_calls(blocks: Sequence[Block], results: Sequence[Any]) -> tuple[list
     calls: dict[Any, Nearby] = {}
 
     def call(names: Sequence[str], arguments: tuple[Any, ...]) -> list[Any]:
-        symbols = [sympy.Symbol(f"{name}_{len(calls)}", real=True) for name in names]
-        values = dict.fromkeys(symbols, sympy.Tuple(*arguments))
-        return [*calls.setdefault(arguments, Nearby(values, place=len(calls))).values]
+        """Return the symbols of the results of a call, the same ones for the same arguments."""
+        if arguments not in calls:
+            symbols = [sympy.Symbol(f"{name}_{len(calls)}", real=True) for name in names]
+            calls[arguments] = Nearby(dict.fromkeys(symbols, sympy.Tuple(*arguments)), place=len(calls))
+        return [*calls[arguments].values]
 
     def replace(e: Any) -> Any:
         arguments = tuple(map(replace, e.args))
