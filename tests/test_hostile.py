@@ -122,7 +122,7 @@ ENORMOUS = {
     "yaml": ("a.yaml", "name: " + 900_000 * "x", "write it as JSON"),
     "marks": ("a.yaml", "name: [" + 101_000 * "," + "]", "write it as JSON"),
     "json": ("a.json", '{"a":' * 5000, "nested more than"),
-    "bytes": ("a.yaml", 8_100_000 * "x", "8 MB, more than the limit of 8 MB"),
+    "bytes": ("a.yaml", 8_100_000 * "x", "8.1 MB, more than the limit of 8 MB"),
     "results": (
         "a.yaml",
         "name: x\nduration: 1e6\nstep: 1\ncomponents:\n  a:\n    block: reference\n    signals: {"

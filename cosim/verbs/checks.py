@@ -417,7 +417,7 @@ def linearize_command(*, open: bool = False, json: bool = False, **given: Any) -
     several = f", {count} times from {m.point.time:g} s on; the first is shown above" if count > 1 else ""
     say(f"by {m.method}{several}")
     report = f"; report: {page}" if page.is_file() else ""
-    say(f"linear model: {given['out'] / 'linear.json'}, linear.mat, linear.py{report}")
+    say(f"linear model: {folder / 'linear.json'}, linear.mat, linear.py{report}")
     show(page, open)
 
 
