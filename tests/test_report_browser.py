@@ -18,6 +18,7 @@ from cosim.report.template import render
 from cosim.simulation.report.run_page import write_report
 from tests.seen import CHROMIUM
 from tests.test_live_browser import browser, opened
+from tests.test_report import craft_run
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
@@ -206,3 +207,18 @@ def test_of_points_in_a_plane_the_nearest_is_read_with_all_that_belongs_to_it(pa
         chart.press(key)
     assert page.locator(".when").nth(2).inner_text().replace("\u2212", "-") == "-2 1/s"
     assert page.locator("figure").nth(2).locator("output").first.inner_text() == "3"
+
+
+def test_the_picture_of_the_craft_follows_the_pointer(browser: Browser, tmp_path: Path) -> None:
+    write_report(tmp_path / "report.html", craft_run(4.0), {"status": "ok"})
+    faults: list[str] = []
+    page = opened(browser, (tmp_path / "report.html").as_uri(), faults, viewport={"width": 1200, "height": 2400})
+    page.wait_for_selector(READY, state="attached")
+    places = []
+    for share in (0.1, 0.9):  # at rest, and 1 m ahead
+        point_at(page, 0, share)
+        places.append(page.locator(".craft").first.get_attribute("transform"))
+    page.close()
+    assert faults == []
+    assert None not in places
+    assert places[0] != places[1]

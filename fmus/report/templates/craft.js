@@ -68,7 +68,7 @@
           one(".marks", group).append(make("path", { d: `M${u.toFixed(0)} ${v.toFixed(0)}h0` }));
       }
       const dials = one(`[data-dials="${index}"]`);
-      return { entry, group, pieces: pieces.true, dials, scale: 100 / roundStep(force) };
+      return { entry, group, pieces: pieces.true, dials, scale: 100 / roundStep(crafts[0].force) };
     });
   }
 
