@@ -137,7 +137,7 @@ class LinearFilter(Estimator):
         self.fix_model = np.diag((settings.measurement_variance_x,)), fix_matrix(settings)
 
     def advance(self, measured: Numbers, command: Numbers) -> None:
-        self.filter.predict(u=np.array(command[2:]))
+        self.filter.predict(u=np.array(command[2:]))  # the tilts
         self.nis = self.update(measured)
 
     def locate(self, position: Numbers) -> None:

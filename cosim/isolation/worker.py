@@ -77,7 +77,7 @@ def send(stream: Any, content: bytes) -> None:
 def receive(stream: Any) -> bytes | None:
     """Read a message; return None at the end of the stream, and raise BadStream for what is no message."""
     head = stream.read(MESSAGE_HEAD.size)
-    if head is None:
+    if head is None:  # an FMU has made the stream non-blocking
         raise BadStream
     if len(head) < MESSAGE_HEAD.size:
         return None

@@ -180,15 +180,18 @@ class Responses:
         """Return the derivative of a velocity per unit of an input that acts through one integrator, else 0.
 
         The derivative is measured over a part of a step; the result is the median over several times.
+
+        Args:
+            parts: Parts of a step.
+            least: Smallest ratio of the change after two parts to that after one part.
         """
         gains = []
         for share in STEP_TIME_SHARES:
             response, scale = self._response(name, share, parts)
             if len(response) > 2:
                 once, twice = response[1:3, velocity]
-                if abs(once) > self.noise[velocity] and least * abs(once) < abs(
-                    twice
-                ) < MAX_SINGLE_INTEGRATOR_RATIO * abs(once):
+                ratio = abs(twice) / max(abs(once), np.finfo(float).tiny)
+                if abs(once) > self.noise[velocity] and least < ratio < MAX_SINGLE_INTEGRATOR_RATIO:
                     gains.append(float(once) / scale)
         return float(np.median(gains)) if 2 * len(gains) > len(STEP_TIME_SHARES) else 0.0
 

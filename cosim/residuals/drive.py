@@ -88,7 +88,7 @@ def check_files(log: Path, fmu: Path | None) -> None:
 
 
 def log_of_fmu(path: Path, fmu: Path, columns: Mapping[str, str] = MappingProxyType({}), *, alone: bool = True) -> Log:
-    """Return a log of an FMU.
+    """Read a log with the inputs and outputs of an FMU.
 
     Args:
         columns: Name in the log → name in the FMU, if different.
@@ -291,7 +291,9 @@ class Drive:
             count = np.maximum(1, np.rint(dt / step)).astype(np.intp) * (STEPS_PER_ROW if self._ramps.any() else 1)
             length = dt / count
             usual = step / STEPS_PER_ROW if self._ramps.any() else step
-            length[np.abs(length - usual) < roundings(time[:-1], PRINTED_TIME_FACTOR * usual)] = usual  # no jitter
+            length[np.abs(length - usual) < roundings(time[:-1], PRINTED_TIME_FACTOR * usual)] = (
+                usual  # printed times are rounded
+            )
             number = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
             times = np.repeat(time[:-1], count) + number * np.repeat(length, count)
             lengths, rows = np.repeat(length, count), np.repeat(np.arange(first, last), count)

@@ -97,7 +97,7 @@ class Signals:
     def plot(self, *names: str) -> Figure:
         """Return a matplotlib figure of the named signals (default: the first ones); signals of one unit share axes."""
         for name in names:
-            self[name]
+            self[name]  # raises KeyError for an unknown name
         from cosim.simulation.report.figures import sheet
         from cosim.simulation.report.run_page import drawable_run, signal_panels
 

@@ -318,7 +318,7 @@ class Reader:
             if number is None or kind in FLOAT_TYPES:
                 return number
             if number.is_integer():
-                return int(text) if text.strip().lstrip("+-").isdigit() else int(number)
+                return int(text) if text.strip().lstrip("+-").isdigit() else int(number)  # exact above 2⁵³
             self.note(typed, f"value {format_value(text)}: use a whole number")
         elif kind == "Boolean" and text not in BOOLEANS:
             self.note(typed, f"value {format_value(text)}: use true or false")
@@ -595,12 +595,17 @@ class SspSystem(Reader):
                 yield from self.targets((*place, element), name[len(element) + 1 :])
 
     def set_start(self, end: End, parameter: Parameter, hops: Sequence[Connection]) -> None:
-        """Set a start value of an FMU, converted to the unit of the variable."""
+        """Set a start value of an FMU, converted to the unit of the variable.
+
+        Args:
+            hops: Connections between systems that the value passes on its way from the parameter to the FMU.
+        """
         part, value, unit = self.parts[end[0]], parameter.value, parameter.unit or ""
         if not isinstance(value, (bool, str)):
             units = {**self.units, **parameter.units}
             if unit not in units and unit.startswith("[") and unit.endswith("]"):  # some tools write units in brackets
                 unit = unit[1:-1]
+            # the variable decides whether the offset of the unit applies
             given = Signal(parameter.name, unit, units.get(unit), relative=True)
             first = self.signal(hops[0].start) if hops else self.signal(end, is_variable=True)
             stages = [(first, parameter.linear), *((self.signal(hop.end), hop.linear) for hop in hops)]

@@ -71,23 +71,26 @@ def make_runs_here(job: Job, workers: int | None, requests: Iterable[RunRequest]
 
 
 @contextmanager
-def dask_cluster(study: Sweep, address: str, place: Callable[[str], Fault]) -> Iterator[MakeRuns]:
+def dask_cluster(sweep: Sweep, address: str, place: Callable[[str], Fault]) -> Iterator[MakeRuns]:
     """Yield a function that executes runs on the workers of a dask scheduler; runs of a lost worker are repeated.
 
     A worker does not need access to files of this machine: it gets the scenario and the files of its components once,
     in a folder of its own. A file is stored in a folder named by the hash of its content.
+
+    Args:
+        place: Function from a message to a fault of the option or key with the address.
 
     Raises:
         InputError: The scheduler does not answer or has no suitable workers.
     """
     distributed = optional("distributed", place)
     logging.getLogger("distributed").setLevel(logging.CRITICAL)  # cosim reports failures
-    folder, job, contents, places = f"cosim-{uuid4().hex}", study.job, dict[str, bytes](), dict[str, str]()
-    for path in (job.scenario, *study.files):
+    folder, job, contents, places = f"cosim-{uuid4().hex}", sweep.job, dict[str, bytes](), dict[str, str]()
+    for path in (job.scenario, *sweep.files):
         content = path.read_bytes()
         places[str(path)] = name = f"{hashlib.sha256(content).hexdigest()}/{path.name}"
         contents[name] = content
-    given = (f"{name}={json.dumps(path)}" for name, path in study.component_files.items())
+    given = (f"{name}={json.dumps(path)}" for name, path in sweep.component_files.items())
     job = replace(job, overrides=(*job.overrides, *given))
 
     plugin: Any = distributed.WorkerPlugin
@@ -111,9 +114,9 @@ def dask_cluster(study: Sweep, address: str, place: Callable[[str], Fault]) -> I
     def make_runs(requests: Iterable[RunRequest]) -> Iterator[Sequence[RunResult]]:
         requests = iter(requests)
         futures = distributed.as_completed([])
-        room = RUNS_PER_THREAD * sum(client.nthreads().values())
+        free = RUNS_PER_THREAD * sum(client.nthreads().values())
         while True:
-            for request in islice(requests, room):
+            for request in islice(requests, free):
                 futures.add(client.submit(make_run_of_dask, job, request, folder, places, pure=False))
             if futures.is_empty():
                 return
@@ -128,7 +131,7 @@ def dask_cluster(study: Sweep, address: str, place: Callable[[str], Fault]) -> I
                     "the sweep"
                 ) from None
             yield (result,)
-            room = 1
+            free = 1
 
     try:
         client = distributed.Client(address, timeout=SCHEDULER_TIMEOUT_S)

@@ -104,7 +104,8 @@ class Attributor(Search):
                 break
             (settled,) = self.fit_to_the_end([(best.candidates, best.fit)])
             settled = self._with_stamp_errors(settled)
-            further = best.score - settled.score  # also the gain of hypotheses that were fitted with the previous noise
+            # The others, which were fitted with the previous noise, would gain about as much by the new one.
+            further = best.score - settled.score
             self.tried = {n: replace(o, score=o.score - further) for n, o in self.tried.items()}
             self.tried[settled.key] = settled
             self._rescore()

@@ -647,12 +647,12 @@ def unknown_inputs(problem: Problem, at: Fit, units: Mapping[str, str]) -> dict[
     Args:
         units: Units of the states.
     """
-    names, powers = problem.layout.forced, np.exp(0.5 * at.noise.power)
+    names, deviations = problem.layout.forced, np.exp(0.5 * at.noise.power)  # `power` is ln of the variance
     largest: dict[tuple[str, int], float] = {}  # unit and order → range of the derivatives
     orders = [1] * len(problem.layout.noisy)
-    if problem.layout.is_free_run:  # 2 if the velocity of the output is hidden
-        matrix = problem.kernel.responses(problem.logs[0], problem.x0[0])[1]  # type: ignore[attr-defined]
-        orders = [1 + bool(matrix[:, j].any()) for j in range(len(orders), 2 * len(orders))]
+    if problem.layout.is_free_run:  # 2 if the output also depends on its row before the last: its velocity is hidden
+        propagation = problem.kernel.responses(problem.logs[0], problem.x0[0])[1]  # type: ignore[attr-defined]
+        orders = [1 + bool(propagation[:, j].any()) for j in range(len(orders), 2 * len(orders))]
     kinds = {n: (units[n], order) for n, order in zip(names, orders, strict=True)}
     runs = [problem.run(at.values, at.noise, k) for k in range(len(problem.logs))]
     for name, place in zip(names, problem.layout.forced_places, strict=True):
@@ -662,7 +662,7 @@ def unknown_inputs(problem: Problem, at: Fit, units: Mapping[str, str]) -> dict[
         ]
         low, high = np.quantile(np.concatenate(change), (0.5 * (1.0 - CERTAIN), 0.5 * (1.0 + CERTAIN)))
         largest[kinds[name]] = max(largest.get(kinds[name], np.finfo(float).tiny), float(high - low))
-    return {n: float(p) / largest[kinds[n]] for n, p in zip(names, powers, strict=True)}
+    return {n: float(p) / largest[kinds[n]] for n, p in zip(names, deviations, strict=True)}
 
 
 def contributions(problem: Problem, base: Fit, after: Fit, index: int) -> Array:

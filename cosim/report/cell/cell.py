@@ -34,6 +34,7 @@ def rows_to_show(curves: Sequence[Array]) -> Rows:
     The rows are divided into equal buckets. Selected are the least value, the largest value and the first gap of each
     curve in each bucket.
     """
+    # each curve selects rows, and all curves have values in all selected rows
     limit = max(MIN_POINTS, min(MAX_POINTS, MAX_VALUES // max(1, len(curves)) ** 2))
     count = curves[0].size if curves else 0
     if count <= limit:
