@@ -291,9 +291,8 @@ class Drive:
             count = np.maximum(1, np.rint(dt / step)).astype(np.intp) * (STEPS_PER_ROW if self._ramps.any() else 1)
             length = dt / count
             usual = step / STEPS_PER_ROW if self._ramps.any() else step
-            length[np.abs(length - usual) < roundings(time[:-1], PRINTED_TIME_FACTOR * usual)] = (
-                usual  # printed times are rounded
-            )
+            is_rounded = np.abs(length - usual) < roundings(time[:-1], PRINTED_TIME_FACTOR * usual)  # a printed time
+            length[is_rounded] = usual
             number = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
             times = np.repeat(time[:-1], count) + number * np.repeat(length, count)
             lengths, rows = np.repeat(length, count), np.repeat(np.arange(first, last), count)
