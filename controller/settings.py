@@ -81,7 +81,9 @@ class Noise(Parametric):
     measurement_variance_ax: float = variance(
         SENSOR_VARIANCE["ax"], "m2/s4", "variance of the measurement noise of ax (thesis, eq 5.46)"
     )
-    measurement_variance_x: float = variance(1e-4, "m2", "noise of a fix of x; the thesis has no fixes, §7.1")
+    measurement_variance_x: float = variance(
+        1e-4, "m2", "variance of the noise of a fix of x; the thesis has no fixes, §7.1"
+    )
     fix_latency: float = bounded(0.0, "s", (0, 1), "age of a fix when it arrives, §7.1")
     sample_time: float = bounded(0.02, "s", (1e-4, 1), "sample time, Fig 4.8")
 

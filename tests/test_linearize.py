@@ -17,6 +17,7 @@ from controller.settings import Settings
 from cosim.core.errors import InputError
 from cosim.linearization.linear_model import Linear, Point, structure
 from cosim.linearization.workflow import linearize
+from cosim.linearization.write import headline
 from tests.conftest import ROOT
 from tests.tank import MODEL
 
@@ -98,6 +99,17 @@ def test_the_time_invariant_model_is_controllable_and_its_jordan_form_has_a_doub
     assert values == {0.0: (3, False), -0.3546: (1, False), -11.3122: (1, True)}
     ranks = [np.linalg.matrix_rank(np.linalg.matrix_power(A, k)) for k in (1, 2)]
     assert ranks == [3, 2]  # of Jordan blocks of sizes 2 and 1 at 0
+
+
+@pytest.mark.parametrize(("slow", "stable"), [(-1.0, True), (0.0, False), (1.0, False)])
+def test_a_fast_pole_does_not_decide_on_the_stability_of_a_slow_one(slow: float, stable: bool) -> None:
+    none, names, point = np.zeros((2, 0)), ("fast", "slow"), Point(0.0, np.zeros(2), np.zeros(0))
+    rest = names, (), (), point, np.zeros(2), np.zeros(0), {}, "by hand"
+    linear = Linear(np.diag([-1e7, slow]), none, none.T, np.zeros((0, 0)), *rest)
+    found = structure(linear)
+    assert found.stable is stable
+    assert max(p.value.real for p in found.poles) == slow
+    assert headline(found, linear)
 
 
 # Other systems: every one by the same verb.

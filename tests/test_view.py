@@ -192,6 +192,14 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
+def test_tables_of_one_folder_and_one_stem_have_different_names(tmp_path: Path) -> None:
+    texts = [str(tmp_path / name) for name in ("log.csv", "log.txt")]
+    for text in texts:
+        Path(text).write_text("time,x\n0,1\n1,2\n")
+    places, _ = find_runs(texts, tmp_path)
+    assert len({place.name for place in places}) == len({place.label for place in places}) == 2
+
+
 def test_runs_without_names_are_all_that_can_be_read(folder: Path) -> None:
     places, _ = find_runs((), Path("results"))
     runs, warnings = open_runs(places)

@@ -26,7 +26,7 @@ from cosim.fmi.native.signal_source import SignalChange, TimeSignal, build_gain,
 from cosim.scenario.scenario import FixComponent, FmuComponent, PlaybackComponent, ReferenceComponent
 from cosim.scenario.scenario_file import ScenarioFile
 from cosim.simulation.manifest import check_pinned
-from cosim.simulation.packaged import IMPORTERS_USE
+from cosim.simulation.packaged import ALGORITHM_OF_IMPORTERS
 from cosim.ssp.write import SspConnector, SspFmu, Value, defined_units, write_ssp
 from cosim.system.system import System, build_system
 
@@ -121,11 +121,12 @@ def _notes(file: ScenarioFile, converted: Sequence[str]) -> Iterator[str]:
         yield Note("tolerance was not exported: importers use the tolerance of each FMU's default experiment, or none")
     if scenario.every_goal:
         yield Note("criteria were not exported: SSP cannot store them")
-    if scenario.algorithm != IMPORTERS_USE.name:
+    if scenario.algorithm != ALGORITHM_OF_IMPORTERS.name:
         ours = algorithms()[scenario.algorithm].title
         yield Note(
-            f"libcosim, ecos and FMPy use {IMPORTERS_USE.title} coupling, this scenario {ours}, so their results may "
-            f"differ; compare them with `cosim run --set algorithm={IMPORTERS_USE.name} --set noise=off`"
+            f"libcosim, ecos and FMPy use {ALGORITHM_OF_IMPORTERS.title} coupling, this scenario {ours}, so their "
+            "results may differ; compare them with "
+            f"`cosim run --set algorithm={ALGORITHM_OF_IMPORTERS.name} --set noise=off`"
         )
 
 

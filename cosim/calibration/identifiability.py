@@ -33,7 +33,7 @@ def screen(likelihood: Likelihood) -> tuple[list[ChoiceEntry], Flags]:
     """Return selected and rejected parameters with reasons, and an array that is True for each selected unknown.
 
     Each parameter is changed by 1 % and by 10 % of its scale. Parameters with an effect are ranked by pivoted QR of
-    their sensitivities: the next parameter is the one that selected parameters reproduce least_norm.
+    their sensitivities: the next parameter is the one that selected parameters reproduce least.
     """
     logs, good = likelihood.logs, [np.isfinite(t) for t in likelihood.best.tables]
     sigma = np.maximum(logs.noise, MIN_NOISE_LEVEL * logs.spread)  # the sensor noise, or the resolution of models
@@ -60,8 +60,8 @@ def screen(likelihood: Likelihood) -> tuple[list[ChoiceEntry], Flags]:
         names.append(unknown.name)
         columns.append(next((moved / change for change, moved in tried.items()), np.zeros(noise_shares.size)))
         effects.append(float(np.linalg.norm(tried[SCREENING_STEPS[1]])) if SCREENING_STEPS[1] in tried else math.nan)
-        none = "no effect on any measured output" if tried else "the FMU fails with each changed value"
-        reasons.append("" if largest > ROUNDING_CHANGE else none)
+        why_not = "no effect on any measured output" if tried else "the FMU fails with each changed value"
+        reasons.append("" if largest > ROUNDING_CHANGE else why_not)
     matrix = np.column_stack(columns)
     starts = np.column_stack(nuisance) if nuisance else np.zeros((matrix.shape[0], 0))
     sizes, matrix = np.linalg.norm(matrix, axis=0), _without(matrix, starts)

@@ -320,10 +320,8 @@ def compare_runs(a: RecordedRun, b: RecordedRun, tolerance: float | None = None,
             continue
         unit, other, by = of_a.units.get(name, ""), of_b.units.get(name, ""), unit_conversion(b, a, name)
         if by is None:
-            note, far = (
-                f"{unit or '1'} in one run, {other or '1'} in the other: these units cannot be converted",
-                math.inf,
-            )
+            note = f"{unit or '1'} in one run, {other or '1'} in the other: these units cannot be converted"
+            far = math.inf
             sizes = far, float(time[0]), far, 1.0, far
             differences.append(Difference(name, unit, *sizes, has_tolerance, note, alike=False))
             continue

@@ -89,7 +89,7 @@ def receive(stream: Any) -> bytes | None:
 
 
 def main() -> None:
-    """Import modules, then execute jobs one after another."""
+    """Import the modules that the caller names, then execute its jobs in sequence."""
     global progress
     collect_seldom()
     # The streams to the caller are hidden from FMUs, which get an empty stdin and print to stderr.

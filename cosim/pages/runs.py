@@ -236,7 +236,7 @@ def _with_unique_names(places: Sequence[RunPlace]) -> list[RunPlace]:
     return [
         replace(
             p,
-            name=p.name if names.count(p.name) == 1 else str(p.file),
+            name=p.name if names.count(p.name) == 1 else f"{p.file} {p.name}",
             label=p.label if labels.count(p.label) == 1 else f"{p.label} ({p.file})",
         )
         for p in places

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from itertools import count
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from pydantic import BaseModel, Field, FiniteFloat, ValidationError
@@ -46,9 +46,6 @@ class Wanted(BaseModel):
     width: int = Field(1, gt=0, le=MAX_PIXELS)
     curves: list[Signal]
     across: list[Signal] = []
-
-
-M = TypeVar("M", bound=BaseModel)
 
 
 class Viewer:
@@ -202,7 +199,7 @@ class Viewer:
             content = parse_json(request.query_params.get("of", ""))
         except (ValueError, RecursionError):
             content = None
-        wanted = _read(Wanted, content)
+        wanted = _read(content)
         curves = self._curves(wanted.curves, texts=True)
         spans = [(run.rows.locate(wanted.begin), run.rows.locate(wanted.end, "right")) for run, _ in curves]
         if (cells := sum(stop - first for first, stop in spans)) > MAX_EXPORTED_VALUES:
@@ -281,12 +278,12 @@ def _arrays(read: Callable[..., list[Array]], curves: Sequence[Sequence[Any]]) -
 
 
 def _of_request(handle: Callable[[Wanted], Response], request: Request, content: Any) -> Response:
-    return handle(_read(Wanted, content))
+    return handle(_read(content))
 
 
-def _read(kind: type[M], content: Any) -> M:
+def _read(content: Any) -> Wanted:
     try:
-        return kind.model_validate(content)
+        return Wanted.model_validate(content)
     except ValidationError as error:
         fault = error.errors(include_url=False)[0]
         raise _invalid_request(f"{'.'.join(map(str, fault['loc'])) or 'an object'} ({fault['msg']})") from None

@@ -182,7 +182,7 @@ class Responses:
         The derivative is measured over a part of a step; the result is the median over several times.
 
         Args:
-            parts: Parts of a step.
+            parts: Number of parts into which a step is divided.
             least: Smallest ratio of the change after two parts to that after one part.
         """
         gains = []

@@ -200,7 +200,7 @@ class Points:
     values: list[Array] = field(default_factory=list)
 
     def add(self, block: DifferentiableFmu, t: float, x: Array, u: Array) -> None:
-        """Evaluate the FMU near a point, at which it is, and which the caller restores; `t` is only stored.
+        """Evaluate the FMU near its present point, which the caller restores afterwards; `t` is only stored.
 
         Differences by SMALL give slopes; those by LARGE show dependencies that vanish at the point, as in a dead
         band. A random point separates signals that are equal along the logs.

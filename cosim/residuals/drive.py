@@ -291,7 +291,9 @@ class Drive:
             count = np.maximum(1, np.rint(dt / step)).astype(np.intp) * (STEPS_PER_ROW if self._ramps.any() else 1)
             length = dt / count
             usual = step / STEPS_PER_ROW if self._ramps.any() else step
-            is_rounded = np.abs(length - usual) < roundings(time[:-1], PRINTED_TIME_FACTOR * usual)  # a printed time
+            is_rounded = np.abs(length - usual) < roundings(
+                time[:-1], PRINTED_TIME_FACTOR * usual
+            )  # as printed times are
             length[is_rounded] = usual
             number = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
             times = np.repeat(time[:-1], count) + number * np.repeat(length, count)

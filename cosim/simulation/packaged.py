@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 SCENARIO_JSON = "scenario.json"  # in SYSTEM, inside the results folder
 DEFAULT_STOP_S, DEFAULT_STEP_S = 1.0, 0.01  # defaults [s] if neither the SSP nor its FMUs declare a value
-IMPORTERS_USE = Jacobi()  # the coupling algorithm of libcosim, ecos and FMPy
+ALGORITHM_OF_IMPORTERS = Jacobi()  # the coupling algorithm of libcosim, ecos and FMPy
 
 
 def is_ssp(path: Path) -> bool:
@@ -139,7 +139,7 @@ def _scenario(
         "start_time": start,
         "duration": duration,
         "step": step,
-        "algorithm": IMPORTERS_USE.name,
+        "algorithm": ALGORITHM_OF_IMPORTERS.name,
         "components": components,
         "connections": connections,
     }

@@ -78,7 +78,8 @@ class Factors:
                 component, _, variable = name.partition(".")
                 is_variable = component in scenario.scenario.components
                 path = ("components", component, "start", variable) if is_variable else tuple(keys_of(name.strip()))
-                if path in paths and not (name == "seed" and file.vary[name].count):  # they start at the seed in `set`
+                goes_on = name == "seed" and file.vary[name].count  # from the seed in `set`
+                if path in paths and not goes_on:
                     text = f'{name} and "{paths[path]}" give the same value; remove one of them'
                     self._note((section, name), text, key=True)
                 paths[path] = name
@@ -115,20 +116,18 @@ class Factors:
         block = self.blocks.get(component)
         variables = {} if block is None else {v.name: v for v in block.description.modelVariables}
         variable = variables.get(variable_name)
-        if block is None or variable is None or not settable(variable) or variable.shape:
-            if block is None:
-                text = f"{component} is not an FMU; give a path of the scenario, such as components.{name}"
-            elif variable is None:
-                text = f'{component} has no variable "{short(variable_name)}"{did_you_mean(variable_name, variables)}'
-            else:
-                reason = (
-                    "is an array" if variable.shape else f"cannot be set, since it is of causality {variable.causality}"
-                )
-                text = f"{name} {reason}; vary a parameter or a start value"
-            self._note(("vary", name), text, key=True)
-            return None
-        if variable_name in block.connected:
-            self._note(("vary", name), "is a connected input; vary its source", key=True)
+        fault = ""
+        if block is None:
+            fault = f"{component} is not an FMU; give a path of the scenario, such as components.{name}"
+        elif variable is None:
+            fault = f'{component} has no variable "{short(variable_name)}"{did_you_mean(variable_name, variables)}'
+        elif variable.shape or not settable(variable):
+            reason = "is an array" if variable.shape else f"cannot be set (causality {variable.causality})"
+            fault = f"{name} {reason}; vary a parameter or a start value"
+        elif variable_name in block.connected:
+            fault = "is a connected input; vary its source"
+        if fault or block is None or variable is None:
+            self._note(("vary", name), fault, key=True)
             return None
 
         def convert(where: Location, entry: Any) -> Any:

@@ -119,7 +119,7 @@ def make_runs_apart(job: Job, requests: Sequence[RunRequest]) -> list[RunResult]
 
 
 def make_runs(job: Job, requests: Sequence[RunRequest]) -> list[RunResult]:
-    """Make runs in this process, one after the other."""
+    """Execute runs in this process, in sequence; return their results."""
     return [make_run(job, request) for request in requests]
 
 
